@@ -20,7 +20,7 @@ IMAGES = Path(__file__).resolve().parent / "images"
 
 
 def main() -> None:
-    """Serve the folder, drop the file, open the run, and keep what is seen."""
+    """Serve the folder, drop the file, open the run, and store the pictures."""
     parser = argparse.ArgumentParser(description="Draw the pictures of hsed app.")
     parser.add_argument("raw", help="a file with a column of elongations and one of forces")
     parser.add_argument("folder", help="folder with a run in it; what is dropped goes there, too")

@@ -11,7 +11,7 @@ from hsed_jax.command_line import command_line
 
 
 class Commands(SphinxDirective):
-    """A section for each sub-command: what it does, how it is called, its arguments and options."""
+    """A section for each sub-command: its purpose, its usage, its arguments and options."""
 
     def run(self) -> list[nodes.Node]:
         """The sections."""

@@ -30,7 +30,7 @@ extensions = [
     "docstrings",
     "commands",
 ]
-# What a notebook writes beside the notebooks is no page.
+# Files that a notebook writes beside the notebooks are not pages.
 exclude_patterns = ["*.py", "paper", "lessons/[!0-9]*"]
 templates_path = ["_templates"]
 highlight_language = "none"
@@ -46,7 +46,7 @@ autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 140
 napoleon_numpy_docstring = False
-# What a class of data holds is listed in its own words, and the names there are no links.
+# The docstring of a data class lists its fields; their names are not links.
 napoleon_custom_sections = [("Attributes", "params_style")]
 
 html_theme = "pydata_sphinx_theme"

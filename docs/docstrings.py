@@ -12,7 +12,7 @@ from sphinx.application import Sphinx
 _DISPLAY = re.compile(r"^([ \t]*)(.*?)\$\$(.+?)\$\$[ \t]*", re.DOTALL | re.MULTILINE)
 _CODE = re.compile(r"(?<![`:\w])`([^`\n]+)`(?!`)")
 _INLINE = re.compile(r"\$([^$\n]+(?:\n[^$\n]+)?)\$")
-# What must not be touched: literals and formulas as they stand by then, and the lines of a display formula.
+# Unchanged parts: literals and formulas in their present form, and the lines of a display formula.
 _KEPT = re.compile(r"(``[^`]+``|:math:`[^`]+`|\.\. math::\n\n(?:[ \t]+\S.*\n?)+)")
 
 
@@ -37,7 +37,7 @@ def _display(match: re.Match[str]) -> str:
 
 def _inline(match: re.Match[str]) -> str:
     following = match.string[match.end() : match.end() + 1]
-    # A role ends at a blank or at punctuation; anything else needs an invisible one.
+    # A role ends at a blank or at punctuation; other characters need an invisible blank.
     return f":math:`{' '.join(match[1].split())}`" + ("\\ " if following.isalnum() else "")
 
 

@@ -2,7 +2,7 @@
 
     python docs/effects.py
 
-Everything in it is read from the effects themselves; `--text` leaves the figures as they are.
+The content comes from the effects themselves; `--text` leaves the figures unchanged.
 """
 
 import argparse
@@ -44,7 +44,7 @@ A, BETA = 2.0e6, 40.0  # N/m, 1/m: a strength of 50 kN, reached around 25 mm
 AMPLITUDES, PERIOD, STEP = (0.02, 0.04, 0.06), 1.0, 0.005  # m, s, s
 # The size that is shown: this quantile of the prior of the first parameter.
 SIZE = 0.9
-# … or these, where that would show little here, or too much.
+# … or these, if that quantile would show too little or too much.
 SHOWN: dict[str, dict[str, float]] = {
     "slip": {"delta": 0.4},
     "fracture": {"delta": 0.7, "life": 5.0},
@@ -75,11 +75,11 @@ to one slot are multiplied or added, so their order does not matter. At its neut
 - **Forms and drivers.** Many effects have several published formulas, and some a choice of the driver, the $x$ of the
   equations. A study chooses them by `form` and `driver` ([settings](settings.md#forms-of-an-effect)); the defaults are the
   first ones. A diagnosis considers all of them. It reports the effect and its form.
-- **Units.** Characteristic values of the campaign make the amplitudes dimensionless: force $F_c$ [N], elongation $u_c$ [m],
-  rate of elongation $v_c$ [m/s] and absorbed energy $E_c$ [J]. Where the table gives a physical unit, a study may use that
-  name instead, in SI units. It may not do so with another driver, or in a form that changes the unit. Energy is the total
-  work of the spring, $e = \\int r\\,d\\Delta u$ [J]. Other authors leave out the elastic part or divide by the mass, and
-  their numbers differ accordingly.
+- **Units.** Characteristic values of the campaign make the amplitudes dimensionless: force $F_c$ [N], elongation $u_c$
+  [m], rate of elongation $v_c$ [m/s] and absorbed energy $E_c$ [J]. If the table gives a physical unit, a study may use
+  that name instead, in SI units. This is not allowed with another driver, or in a form that changes the unit. Energy is
+  the total work of the spring, $e = \\int r\\,d\\Delta u$ [J]. Other authors leave out the elastic part or divide by
+  the mass, and their numbers differ accordingly.
 - **Priors** are defaults; a study may give others.
 - **Figures.** Grey: the plain law. Blue: with the effect. Its first parameter is at the {share:.0f} % quantile of its prior
   and the others are at their defaults, or as stated below the figure. Loops are those of a component test with three cycles
@@ -95,16 +95,16 @@ DRIVER_TABLE = """\
 """
 
 LOOK_ALIKES = """\
-## What looks like what
+## Similar effects
 
-Some measurements cannot distinguish some effects, whatever their accuracy. A diagnosis then reports `ambiguous`, with the
-rivals and the experiment that would separate them. The usual cases are:
+Some effects cannot be distinguished by some measurements, even with the best accuracy. A diagnosis then reports
+`ambiguous`, with the rivals and the experiment that separates them. The usual cases are:
 
 - **Stiffness and strength.** A decay of A, as in `peak_softening`, lowers the initial slope and the ultimate force together.
   To first order it equals `strength_degradation` plus `stiffness_degradation`. Loops well beyond yield separate them.
-- **Delay and damping.** At one frequency a delay acts like a dashpot; it acts like a negative dashpot where the late signal
-  is fed back to the structure, as in hybrid simulation. `actuator_delay`, `time_offset` and `viscous_damping` need more than
-  one frequency, or a known clock.
+- **Delay and damping.** At one frequency a delay acts like a dashpot; it acts like a negative dashpot if the late
+  signal is fed back to the structure, as in hybrid simulation. `actuator_delay`, `time_offset` and `viscous_damping`
+  need more than one frequency, or a known clock.
 - **Load cell and specimen.** With n = 1 `force_gain` is a factor on A; with another n it changes β and γ too. Only a second
   measurement of the force separates them.
 - **β, γ and n at one amplitude.** They change one loop in nearly the same way; published correlations are 0.998 and more.
@@ -117,10 +117,10 @@ rivals and the experiment that would separate them. The usual cases are:
 OWN = '''\
 ## An effect of your own
 
-A study can add a Python file to its catalogue: `model: {own_effects: [mine.py]}`, relative to the study ([when the file is
-executed](laboratories.md#what-is-executed-when)). All commands then know its effects, also `hsed effects NAME --study
-STUDY.yaml --trust`. One class is one effect. Its first parameter is the amplitude, which is zero without the effect. The
-effect contributes to the slots of the equation above.
+A study can add a Python file to its catalogue: `model: {own_effects: [mine.py]}`, relative to the study
+([execution of code](laboratories.md#execution-of-code)). All commands then have its effects, also `hsed effects NAME
+--study STUDY.yaml --trust`. One class is one effect. Its first parameter is the amplitude, which is zero without the
+effect. The effect contributes to the slots of the equation above.
 
 ```python
 from typing import ClassVar, final
@@ -306,7 +306,7 @@ def _physical(known: Parameter, form: PhysicalForm) -> str:
 
 
 def medium(name: str) -> dict[str, float]:
-    """The size at which an effect is shown, by parameter."""
+    """The shown size of an effect, by parameter."""
     if name in SHOWN:
         return SHOWN[name]
     first = next(iter(parameters_of(EFFECTS[name]).values()))

@@ -4,9 +4,9 @@
     python docs/guide_cases.py perform RUN
     python docs/guide_cases.py pictures
 
-`raw` writes what a laboratory would hand over: a cyclic test (`column`), a shaken frame (`frame`), ten coupons (`coupons`).
-`perform` answers the requests that are out in a run folder, as a rig would.  `pictures` keeps figures of `runs/column`,
-`runs/frame`, `runs/rig` and `runs/coupons` in `docs/images/guides`.
+`raw` writes the files of a laboratory: a cyclic test (`column`), a shaken frame (`frame`), ten coupons (`coupons`). `perform`
+answers the requests that are out in a run folder, as a rig would.  `pictures` keeps figures of `runs/column`, `runs/frame`,
+`runs/rig` and `runs/coupons` in `docs/images/guides`.
 
 The specimens are a few lines of NumPy, which share no code with the package.  Each has something that the plain law lacks.
 """

@@ -29,9 +29,9 @@ to all digits (`tests/data/laws.csv`: Steel01, Steel02, Hysteretic). An oscillat
 work within 3e-4 of a central-difference solution with 4000. The step is not split at corners of a law (yielding, zero
 force).
 
-**Which effects.** Effects write to [slots of a law](effects.md). All laws have the slots `force` (a force parallel to the
-element) and `slack`. A study with an effect whose slot the law lacks is refused. A diagnosis leaves the effect out and
-reports this.
+**Which effects.** Effects write to [slots of a law](effects.md). All laws have the slots `force` (a force parallel to
+the element) and `slack`. If a law lacks the slot of an effect, a study with this effect is refused. A diagnosis leaves
+the effect out and reports this.
 
 **Parameters** with a default may be left out. `model.parameters` takes a value, a prior, or `{}` for the prior of the table.
 
@@ -42,9 +42,10 @@ reports this.
 OWN = r"""
 ## A law of your own
 
-`model: {spring: mine.py:Cubic}` uses a class of your own; the file is relative to the study ([when the file is
-executed](laboratories.md#what-is-executed-when)). The class is an equinox module with the parameters as fields. `force` must
-be continuous in the elongation. Both sides of a `jnp.where` must be finite, because derivatives pass through them.
+`model: {spring: mine.py:Cubic}` uses your class; the file is relative to the study
+([execution of code](laboratories.md#execution-of-code)). The class is an equinox module with the parameters as fields.
+`force` must be continuous in the elongation. Both sides of a `jnp.where` must be finite, because derivatives pass
+through them.
 
 ```python
 from typing import ClassVar, final

@@ -13,14 +13,14 @@ HEAD = """# Laws of OpenSees
 
 *Written by `python docs/opensees_laws.py` from the code; not to be edited by hand.*
 
-Practice models members and joints with materials of OpenSees. hsed_jax calibrates eight of them on a test whose elongation was
-imposed, with intervals, and exports them. OpenSees itself simulates the material, so the exported script has the same forces.
-You need openseespy: `python -m pip install 'hsed_jax[opensees]'`.
+Engineers model members and joints with materials of OpenSees. hsed_jax calibrates eight of these materials on a test
+with imposed elongation, gives intervals, and exports them. OpenSees itself simulates the material, so the exported
+script has the same forces. You need openseespy: `python -m pip install 'hsed_jax[opensees]'`.
 
 ```
 hsed init column.csv --model opensees:Pinching4   # a campaign and its study, with priors from the record
 hsed run column/study.yaml
-hsed laws column/study.yaml                       # all materials, ranked by what they predict
+hsed laws column/study.yaml                       # all materials, ranked by their held-out error
 hsed export runs/column --opensees                # specimen.py, specimen.tcl, protocol.csv, check.json
 ```
 
@@ -44,28 +44,28 @@ model:
   simulations comes first. Descents with finite differences start at its result and at other points of the priors
   (`calibration.starts`). Samplers are [those of every model](parts.md#samplers).
 - **Steps.** OpenSees follows the elongation in steps of at most a hundredth of the largest one.
-- **Failures.** OpenSees runs in processes of its own. A simulation that crashes, gives no finite force or takes longer than
-  {timeout:g} s counts as a simulation that diverged.
+- **Failures.** OpenSees runs in separate processes. A simulation that crashes, gives no finite force or takes longer
+  than {timeout:g} s counts as diverged.
 
 `calibrate`, `compare` and the report work as with any model. `diagnose`, `discover` and `improve` need a
 [spring law](laws.md) and refuse a material. A specimen in a structure needs a spring law, too; OpenSees can be
 [its laboratory](laboratories.md#opensees).
 
-## Which law
+## Comparison of laws
 
-`hsed laws STUDY.yaml` calibrates the model of the study and the materials, each in a run folder of its own;
-`--materials Pinching4,SAWS` takes these only (in Python: `hx.laws`). It ranks them by the error on what was not fitted: the end
-of the record that `hsed init` holds out, or the experiments of the split `test`. `laws.json` has the errors. A small error on the
-fitted part says little: a law with more parameters fits better and may predict worse.
+`hsed laws STUDY.yaml` calibrates the model of the study and the materials, each in its own run folder;
+`--materials Pinching4,SAWS` selects materials (in Python: `hx.laws`). It ranks them by the error on held-out data: the
+end of the record that `hsed init` holds out, or the experiments of the split `test`. `laws.json` has the errors. A
+small error on the fitted part is not sufficient: a law with more parameters fits better and may predict worse.
 
 ## Export
 
 `hsed export RUN --opensees` writes the material at the MAP. It runs the script in OpenSees along the first experiment
-(`protocol.csv`) and compares it with the simulation. `check.json` and the head of the scripts have the difference (root mean
-square, over the standard deviation of the force) and the version of OpenSees. `report.html` of the run states both. Another
-version may have another meaning of an argument: run `python specimen.py protocol.csv` there, and compare with the second column
-of `protocol.csv`.
-`tests/test_opensees_laws.py` does this for every material; the test allows 1 %.
+(`protocol.csv`) and compares it with the simulation. `check.json` and the head of the scripts have the difference (root
+mean square, over the standard deviation of the force) and the version of OpenSees. `report.html` of the run states
+both. In another version an argument may have another meaning: run `python specimen.py protocol.csv` with that version,
+and compare with the second column of `protocol.csv`. `tests/test_opensees_laws.py` does this for every material; the
+test allows 1 %.
 
 ## Materials
 

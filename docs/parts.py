@@ -22,32 +22,32 @@ HEAD = """# Laboratories, acquisitions and samplers
 
 *Written by `python docs/parts.py` from the code; not to be edited by hand.*
 
-Each of these parts is one file of the package, and a study names a part by its file. A further file is a further part:
-its settings, its messages and its entry on this page follow from it
+Each of these parts is one file of the package, and the name of the file is the name of the part in a study. A new file
+adds a part, with its settings, its messages and its entry on this page
 ([what a new part touches](design.md#what-a-new-part-touches)).
 """
 LABORATORIES = """
 ## Laboratories
 
-A study names one laboratory in `experiments`, instead of a `campaign`.
-[Laboratories](laboratories.md) says what each of them receives and returns.
+A study names one laboratory in `experiments`, instead of a `campaign`. [Laboratories](laboratories.md) describes their
+requests and answers.
 """
 DECLARED = """
 ### Channels and quantities
 
-The laboratories {names} declare what they measure as [campaign.yaml](measurements.md) does.
-Without `channels` and `quantities`, the answer has what the study observes, by its own name and in SI.
-Each channel and each quantity has these keys:
+The laboratories {names} declare their measurements as [campaign.yaml](measurements.md) does. Without `channels` and
+`quantities`, the answer has the observed outputs of the study, under their own names and in SI. Each channel and each
+quantity has these keys:
 """
 ACQUISITION = """
 ## Acquisitions
 
-`design.acquisition` says what the choice of the next experiment maximises.
+`design.acquisition` selects the criterion for the next experiment.
 """
 SAMPLER = """
 ## Samplers
 
-`calibration.sampler` says how the posterior is drawn from.
+`calibration.sampler` selects the method of drawing from the posterior.
 """
 
 

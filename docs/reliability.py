@@ -11,10 +11,10 @@ from scipy.stats import beta as beta_distribution
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 TITLE = "Intervals, diagnoses and measured specimens"
 
-# What the paper prints: Section 4, and Fig. 5.
+# The numbers of the paper: Section 4, and Fig. 5.
 PRINTED = {"A": 4.24e5, "beta": 0.826, "settled": 20}
 UNITS = {"A": "N/m", "beta": "1/m"}
-# Kept diagnoses, and on which cases they were made.
+# Stored diagnoses, and their cases.
 DIAGNOSES = {
     "hidden_effects_scored": "unseen during development",
     "hidden_effects_probed": "unseen but for one",
@@ -136,7 +136,7 @@ def _diagnoses(rows: Sequence[Mapping[str, Any]], about: str) -> Iterator[tuple[
         if "skipped" not in row:
             groups.setdefault(row["group"], []).append(row)
     for group, own in groups.items():
-        # What a refit of the law absorbs down to the noise is there for nobody to see.
+        # An effect that a refit of the law absorbs down to the noise cannot be detected.
         seen = [row for row in own if row["verdict"] != "adequate" and not row["absorbed"]]
         alarms = sum(bool(set(row["named"]) - {effect for effect, _ in row["case"]["effects"]}) for row in own)
         yield (f"{group} ({about})", str(len(own)), str(len(seen)), _share(seen, lambda row: row["first"]),

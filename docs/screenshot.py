@@ -15,7 +15,7 @@ IMAGE = Path(__file__).resolve().parent / "images" / "report.png"
 
 
 def main() -> None:
-    """Open the report of a run in Chromium and keep what is seen of its verdict and of measured against predicted."""
+    """Open the report of a run in Chromium and store pictures of its verdict and of measured against predicted."""
     parser = argparse.ArgumentParser(description="Draw the picture of a report that the documentation shows.")
     parser.add_argument("run", help="run folder")
     report = Path(parser.parse_args().run).resolve() / "report.html"

@@ -22,7 +22,7 @@ import reliability
 
 FOLDER = Path(__file__).parent / "verification"
 KEPT = FOLDER / "observed.json"
-# Programs whose version an error may depend on.
+# Programs whose version may influence an error.
 PROGRAMS = ("jax", "diffrax", "numpy", "scipy", "openseespy")
 # Rows of the first table.
 WORST = 25
@@ -83,7 +83,7 @@ with a grid over the parameters. The second table has the estimates beside those
 
 
 class Row(NamedTuple):
-    """What a test compares, over all cases of the test that say the same words.
+    """The comparison of a test, over all cases of the test with the same words.
 
     Attributes:
         problem, reference, test: words, and the test without its cases.
@@ -135,7 +135,7 @@ def pages(kept: Mapping[str, Any]) -> dict[str, str]:
 
 
 def index(kept: Mapping[str, Any]) -> str:
-    """The first page: what there is, and the largest errors."""
+    """The first page: the content, and the largest errors."""
     rows = {chapter: rows_of(kept, chapter) for chapter in CHAPTERS}
     worst = sorted((row for own in rows.values() for row in own), key=lambda row: -row.share)[:WORST]
     lines = [HEAD, "## The largest errors\n", f"The {WORST} rows whose error is the largest share of its tolerance:\n"]
@@ -239,7 +239,7 @@ class Reports:
         self.skipped: dict[str, str] = {}
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """What pytest calls with each report."""
+        """The hook of pytest for each report."""
         if report.skipped and isinstance(report.longrepr, tuple):
             self.skipped[report.nodeid] = str(report.longrepr[2]).removeprefix("Skipped: ")
         if report.when == "call" and report.passed:
@@ -290,7 +290,7 @@ def main() -> None:
 
 
 def keep(found: Mapping[str, Any]) -> None:
-    """Write what was measured, a line for each test, so that a change of one is a change of one line."""
+    """Write the measured errors, a line for each test, so that a change of one test changes one line."""
     parts = []
     for part, of in found.items():
         lines = [f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in of.items()]

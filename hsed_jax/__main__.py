@@ -1,10 +1,10 @@
-"""The `hsed` command, also `python -m hsed_jax`: a Ctrl-C is answered from here on, before anything else is loaded."""
+"""The `hsed` command, also `python -m hsed_jax`: a Ctrl-C is handled from here on, before anything else is loaded."""
 
 import sys
 
 
 def main() -> int:
-    """Load the command line and carry out what it says."""
+    """Load the command line and execute it."""
     try:
         from hsed_jax.command_line import main as command
 

@@ -1,5 +1,6 @@
-"""JAX as this package needs it: double precision, XLA options for small loops, a lasting compilation cache, one BLAS thread, one
-heap."""
+"""Settings of JAX for this package: double precision, XLA options for small loops, a lasting compilation cache, one
+BLAS thread, one heap.
+"""
 
 import ctypes
 import logging
@@ -11,8 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 # Keeps short loops in one compiled function (a single simulation: about 8 times faster) and uses full vector width.
-# Internal options of XLA: an XLA that does not know them would abort, so they are set only for the releases they were
-# tried with.
+# Internal options of XLA: an XLA without them would abort, so they are set only for tested releases.
 _FLAGS = (
     "--xla_cpu_prefer_vector_width=512",
     "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000",
@@ -23,16 +23,15 @@ _M_ARENA_MAX = -8
 
 
 def cores() -> int:
-    """How many cores this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
 def prepare() -> None:
-    """Prepare this process for work: called where a study is built, and not by an import.
-
-    What stands in the environment is left as it is, and so is a compilation cache that was chosen.  XLA reads its flags when it
-    compiles, so that a process that has used JAX before has them as well.
+    """Prepare this process: called when a study is built, and not by an import. Settings in the environment, and a chosen
+    compilation cache, stay unchanged.  XLA reads its flags at a compilation, so the flags also apply in a process that has
+    used JAX before.
     """
     import jax
 
@@ -52,19 +51,19 @@ def prepare() -> None:
                 "again; delete it, or choose another folder by XDG_CACHE_HOME",
                 file=sys.stderr,
             )
-            # It has a folder of its own in the same place, and says the same of it at length.
+            # It has its own folder in the same place, and reports the same fault at length.
             logging.getLogger("matplotlib").setLevel(logging.ERROR)
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
-        # Everything is worth keeping: a study is many programs, and the least of them takes ten times as long to make as to read.
+        # All programs are stored: a study has many, and compiling the smallest takes ten times as long as reading it.
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 @cache
 def limit_threads() -> None:
-    """One thread for BLAS: called where a model is about to compute, as what is limited takes long to load.
+    """One thread for BLAS: called before a model computes, because the limited libraries take long to load.
 
-    The matrices here are small; on a machine that does other work as well, threads that wait for one another made a Kriging of
-    43 points forty times slower.  A limit that stands in the environment is left as it is.
+    The matrices here are small. On a machine with other work, threads that wait for one another make a Kriging of 43 points
+    forty times slower. A limit in the environment stays unchanged.
     """
     if not {"OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"} & set(os.environ):
         import scipy.linalg  # noqa: F401  (its BLAS is what JAX uses; a limit is one of what is loaded)
@@ -94,17 +93,16 @@ def _flags_are_known() -> bool:
 
 
 def cache_folder() -> Path | None:
-    """Where the package keeps what takes long to make and can be made again; None where there is no such folder."""
+    """The cache folder of the package; None without one."""
     return private(_cache_place())
 
 
 def private(folder: Path) -> Path | None:
-    """A folder of which what lies in it may be executed: nobody but this user writes there.
-
-    A kept program, and a table of pint, is executed when it is read.
+    """A folder whose files may be executed: only this user may write there. A stored program, and a table of pint, is
+    executed when it is read.
 
     Returns:
-        The folder, made with mode 0700 where it is missing; None where it cannot be written, belongs to another user, or other
+        The folder, made with mode 0700 where it is missing; None if it cannot be written, belongs to another user, or other
         users may write in it.
     """
     try:

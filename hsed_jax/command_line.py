@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_main(arguments: Sequence[str] | None = None) -> int:
-    """`python -m hsed_jax.run`: what `hsed run` does."""
+    """`python -m hsed_jax.run`: the same as `hsed run`."""
 
     def parser() -> argparse.ArgumentParser:
         from hsed_jax.runs.beginning import ParserOfFiles
@@ -76,9 +76,9 @@ def command_line() -> argparse.ArgumentParser:
     check.add_argument(
         "--predict",
         action="store_true",
-        help="simulate 64 points of the priors, and say which data the model cannot produce",
+        help="simulate 64 points of the priors, and print the data that the model cannot produce",
     )
-    text = "earlier experiments: say how much they tell about those that the study plans"
+    text = "earlier experiments: print their information about the planned experiments"
     check.add_argument("--worth", metavar="CAMPAIGN", help=text)
     check.set_defaults(command=_check)
     beginning.add_command(commands)
@@ -178,7 +178,7 @@ def _effects(options: Any) -> int:
     if not options.name:
         print(catalogue(effects))
         return 0
-    # A picture of forms needs their priors, which the list does not wait for.
+    # A picture of forms needs their priors, which the list does not load.
     from hsed_jax.analysis.form_curves import curves_of
 
     print(entry(options.name, effects, curves_of))
@@ -194,7 +194,7 @@ def _check(options: Any) -> int:
     from hsed_jax.config.load import load_trusted
 
     study = load_trusted(options.study, options.overrides, trust=options.trust)
-    # A wrong key is told before what calculates is loaded.
+    # A wrong key is reported before the numerical packages are loaded.
     from hsed_jax.runs.checking import check_study
 
     predict, worth = getattr(options, "predict", False), getattr(options, "worth", None)
@@ -227,7 +227,7 @@ def _run(options: Any) -> int:
     if steps:
         only.append(f"steps=[{', '.join(steps)}]")
     study = load_study(options.study, [*options.overrides, *only])
-    # A wrong key is told before what calculates is loaded.
+    # A wrong key is reported before the numerical packages are loaded.
     from hsed_jax.runs.workflow import run
 
     output = Path(options.output) if options.output else Path("runs") / study.study
@@ -287,7 +287,7 @@ def _tell_measured(options: Any) -> int:
 
 
 def _numbers(option: str, given: Sequence[str] | None) -> dict[str, float] | None:
-    """NAME=VALUE of an option that was said several times."""
+    """NAME=VALUE of a repeated option."""
     found = {}
     for word in given or ():
         name, _, value = word.partition("=")

@@ -1,6 +1,5 @@
-"""How files are written: whole or not at all, and never through a symbolic link.
-
-A run folder may come from somebody else.  A link in it would lead what is written to another file of the user.
+"""Writing of files: completely or not at all, and never through a symbolic link. A run folder may come from another person,
+and a link in it would redirect the writing to another file of the user.
 """
 
 import os
@@ -13,17 +12,17 @@ if TYPE_CHECKING:
 
 
 def create(path: Path) -> BinaryIO:
-    """Open a new file for writing, in place of a file or a link of that name.
+    """Open a new file for writing; it replaces a file or a link of the same name.
 
     Raises:
-        OSError: it cannot be made, or something else takes the name at the same moment.
+        OSError: it cannot be created, or another process creates the name at the same moment.
     """
     path.unlink(missing_ok=True)
     return os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666), "wb")
 
 
 def extend(path: Path) -> BinaryIO:
-    """Open a file to write at its end; it is made where it is missing.
+    """Open a file to write at its end; it is created if it is missing.
 
     Raises:
         OSError: it cannot be opened, or it is a symbolic link.
@@ -37,7 +36,7 @@ def write_whole(path: Path, content: str | bytes, draft: str = ".part") -> None:
     Arguments:
         path: of the file.
         content: of it; a text is written in UTF-8, with its line ends as they are.
-        draft: what the name of the unfinished file ends in; of each writer its own, where there are several.
+        draft: ending of the name of the unfinished file; several writers need different ones.
     """
     unfinished = path.with_name(path.name + draft)
     with create(unfinished) as file:
@@ -57,7 +56,7 @@ def write_netcdf(path: Path, content: "xr.Dataset | xr.DataTree") -> None:
 
 
 def first_link(folder: Path, names: Iterable[str]) -> Path | None:
-    """The first symbolic link among some entries of a folder and what lies in them; None where there is none."""
+    """The first symbolic link among some entries of a folder and their contents; None without one."""
     for path in (folder / name for name in names):
         if path.is_symlink():
             return path

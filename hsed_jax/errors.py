@@ -1,13 +1,13 @@
-"""The one exception for what a user got wrong, and the place that stands in front of its message."""
+"""The exception for mistakes of the user, and the place in front of its message."""
 
 from collections.abc import Callable
 from typing import Any
 
 
 class UserError(Exception):
-    """A mistake in a study, a campaign or a command: one message that says what, where, and what is allowed.
+    """A mistake in a study, a campaign or a command: one message with the fault, its place, and the allowed values.
 
-    The command line prints the message alone and exits with status 2; from Python it is raised as it is.
+    The command line prints the message alone and exits with status 2; Python raises it unchanged.
     """
 
 

@@ -1,6 +1,6 @@
-"""How a command ends: its exit status, and one message where that is not 0.
+"""The end of a command: its exit status, and one message if it is not 0.
 
-0 done; 1 a defect of ours; 2 the user's input is wrong; 3 stopped part-way, can be resumed.
+0 complete; 1 a defect of the package; 2 the input of the user is wrong; 3 incomplete, can be resumed.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from io import TextIOWrapper
 from hsed_jax.errors import UserError
 from hsed_jax.interruptions import answer, is_interruption
 
-# What a disk may say that cannot take any more.
+# Errors of a full disk.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
@@ -23,23 +23,23 @@ def ended(parser: Callable[[], argparse.ArgumentParser], arguments: Sequence[str
     """Parse a command line and carry out the `command` of its options.
 
     Arguments:
-        parser: makes the parser; called here, so that a Ctrl-C that comes while it is loaded is answered.
+        parser: makes the parser; called here, so that a Ctrl-C during its loading is handled.
         arguments: the words of the command line; None for those of this process.
 
     Returns:
         The exit status; a message that explains it is on the standard error.
     """
-    if arguments is None:  # the process is ours
+    if arguments is None:  # this process belongs to the command
         _look_for_garbage_seldom()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a letter that the terminal does not have ends no run
+            stream.reconfigure(errors="replace")  # a letter that the terminal cannot show must not end a run
     try:
         return _carried_out(_parsed(parser(), arguments))
     except KeyboardInterrupt:
         return _interrupted()
     except BrokenPipeError:
-        # Who reads has seen enough, as `| head` has; what is left to say goes nowhere.
+        # The reader has closed the pipe, as `| head` has; the remaining output is dropped.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 3
     except OSError as error:
@@ -60,7 +60,7 @@ def _parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) ->
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     if rest:
         options.overrides = [*options.overrides, *rest]
-    if getattr(options, "output", None) == "":  # of a variable that is not set, say
+    if getattr(options, "output", None) == "":  # for example of an unset variable
         parser.error("argument --output: it is empty")
     return options
 
@@ -72,14 +72,13 @@ def _carried_out(options: argparse.Namespace) -> int:
         return status
     except UserError as error:
         return _told(f"error: {error}", 2)
-    except SystemExit as left:  # an effect, say, which is code of the user's own
+    except SystemExit as left:  # for example an effect, which is code of the user
         return _told(f"error: code that the study names called sys.exit({left.code!r})", 2)
 
 
 def _look_for_garbage_seldom() -> None:
-    """Nearly all that a command loads and traces lives as long as its process does.
-
-    To look through all of that again and again, and once more at the end, takes a third of the time of a short command.
+    """Nearly all objects that a command loads and traces live until the end of its process. Repeated garbage collection of
+    these objects takes a third of the time of a short command.
     """
     gc.set_threshold(100_000, 20, 100)
     atexit.register(gc.freeze)

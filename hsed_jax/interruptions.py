@@ -1,7 +1,7 @@
-"""Stopping from outside: Ctrl-C and a termination end a command in the same orderly way, and in time.
+"""Stopping from outside: Ctrl-C and a termination end a command in the same regular way, and in time.
 
-Python heeds a signal only when a compiled call returns, and one call, or the compilation of one, may take long.  What counts is
-on the disk at any moment, so what does not answer in time is ended where it is.
+Python handles a signal only when a compiled call returns, and one call, or its compilation, may take long. All results are on
+the disk at any moment, so a call that does not return in time is abandoned.
 """
 
 import os
@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-# Seconds after an interruption in which a further one is the same wish: it must not cut short what is being kept.
+# Seconds after an interruption in which a further one is ignored: it must not interrupt the storage.
 _SAME = 10.0
-# Seconds for an orderly end.
+# Seconds for a regular end.
 _PATIENCE = 1.0
 
 _answering = threading.Lock()
@@ -25,12 +25,13 @@ _is_answered = False
 
 
 class Interrupted(Exception):
-    """A command stopped part-way and can be resumed; the message says where."""
+    """An incomplete command that can be resumed; the message has its position."""
 
 
 def is_interruption(error: BaseException | None) -> bool:
-    """Whether an error comes from Ctrl-C: an extension that is being loaded when that comes makes an error of its own of it,
-    and one in Rust no Exception."""
+    """Whether an error comes from Ctrl-C: an extension that is being loaded raises its own error, and one in Rust
+    raises an error that is not an Exception.
+    """
     while error is not None:
         if isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error):
             return True
@@ -41,7 +42,7 @@ def is_interruption(error: BaseException | None) -> bool:
 def heed_interruptions() -> None:
     """Let a termination interrupt like Ctrl-C, and neither be lost.
 
-    One that comes during a callback of the garbage collector, of which JAX has one, Python reports and forgets.
+    Python only prints an interruption during a callback of the garbage collector (JAX has one), and then ignores it.
     """
     heeded = -_SAME
 
@@ -55,7 +56,7 @@ def heed_interruptions() -> None:
         nonlocal heeded
         if unraisable.exc_type is KeyboardInterrupt:
             heeded = -_SAME
-            # Again as a termination, which is heeded also where a shell lets its background processes ignore Ctrl-C.
+            # Again as a termination, which also works if a shell lets its background processes ignore Ctrl-C.
             threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM)).start()
         else:
             sys.__unraisablehook__(unraisable)
@@ -69,9 +70,8 @@ def heed_interruptions() -> None:
 
 @contextmanager
 def ended_in_time() -> Iterator[None]:
-    """Within, the first interruption raises KeyboardInterrupt, and ends the process with status 3 if that takes too long.
-
-    Further ones are ignored, so that nothing interrupts what puts in order what there is.
+    """A context in which the first interruption raises KeyboardInterrupt, and ends the process with status 3 if this takes
+    too long. Further ones are ignored, so that they do not disturb the storage of the results.
     """
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     heed_interruptions()
@@ -88,7 +88,7 @@ def ended_in_time() -> Iterator[None]:
             signal.signal(number, interrupt)
     hears, tells = socket.socketpair()
     tells.setblocking(False)
-    # Told as a signal comes, whatever the main thread is doing.
+    # Called at a signal, for any state of the main thread.
     told_before = signal.set_wakeup_fd(tells.fileno(), warn_on_full_buffer=False)
     threading.Thread(target=_see_to_the_end, args=(hears,), daemon=True).start()
     try:
@@ -110,7 +110,7 @@ def _see_to_the_end(hears: socket.socket) -> None:
         if words := answer():
             print(words, file=sys.stderr, flush=True)
         else:
-            # The main thread is on its way out.
+            # The main thread is ending.
             time.sleep(_PATIENCE)
     finally:
         os._exit(3)
@@ -121,10 +121,10 @@ def answered_by(stop: Callable[[], str]) -> Iterator[None]:
     """Let an interruption be answered.
 
     Arguments:
-        stop: puts in order what there is and says where it stopped; called on another thread where the main one is busy.
+        stop: stores the results and returns the position of the stop; called on another thread if the main one is busy.
 
     Raises:
-        Interrupted: it was interrupted; the message is what `stop` said.
+        Interrupted: it was interrupted; with the message of `stop`.
     """
     global _stop, _is_answered
     _stop, _is_answered = stop, False
@@ -137,7 +137,7 @@ def answered_by(stop: Callable[[], str]) -> Iterator[None]:
 
 
 def answer() -> str | None:
-    """Answer an interruption: what there is to say, None where it was said already."""
+    """Handle an interruption: the message, None if it is already printed."""
     global _is_answered
     with _answering:
         if _is_answered:

@@ -1,4 +1,4 @@
-"""Figures and tables that could not be made: each is left out and said, and costs nothing else."""
+"""Figures and tables that could not be made: each is left out with a message, without an effect on other results."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ from hsed_jax.interruptions import Interrupted, is_interruption
 
 
 class LeftOut:
-    """What was left out, by name, and why.
+    """The omissions, by name, with their reasons.
 
     Attributes:
         reasons: of each, in words.
@@ -16,15 +16,15 @@ class LeftOut:
         self.reasons: dict[str, str] = {}
 
     def attempt[T](self, name: str, make: Callable[[], T], otherwise: T) -> T:
-        """Make one thing; where that fails, note why and go on.
+        """Make one item; if this fails, record the reason and continue.
 
         Arguments:
-            name: what it is, in words.
+            name: of the item, in words.
             make: makes it.
-            otherwise: returned where it fails.
+            otherwise: returned if it fails.
 
         Raises:
-            OSError: the disk is full, say, which is no fault of the thing.
+            OSError: for example a full disk, which is not a fault of the item.
         """
         try:
             return make()
@@ -38,5 +38,5 @@ class LeftOut:
 
     @property
     def sentences(self) -> list[str]:
-        """What to say of each."""
+        """The message of each."""
         return [f"the {name} could not be made and is left out ({reason})" for name, reason in self.reasons.items()]

@@ -1,4 +1,4 @@
-"""What would not fit into the memory of this machine is refused before anything is allocated."""
+"""Arrays that exceed the RAM of this machine are refused before their allocation."""
 
 import math
 
@@ -8,7 +8,7 @@ _UNITS = ("bytes", "KiB", "MiB", "GiB", "TiB", "PiB", "EiB", "ZiB", "YiB")
 
 
 def check_memory(what: str, needed: int, each: int = 0) -> None:
-    """Refuse what takes more memory than this machine has.
+    """Refuse arrays that need more RAM than this machine has.
 
     Arguments:
         what: subject of the message, such as `design.candidates: 10000000000 candidates`.
@@ -16,7 +16,7 @@ def check_memory(what: str, needed: int, each: int = 0) -> None:
         each: memory of one of them, where a number of something is refused [bytes].
 
     Raises:
-        UserError: says how much it would take and how much there is.
+        UserError: with the required and the available memory.
     """
     import psutil
 

@@ -1,4 +1,4 @@
-"""What users write, at the border: YAML, numbers, names of files.  A fault is one message, never a traceback."""
+"""Reading of the user's texts: YAML, numbers, names of files. A fault causes one message and no traceback."""
 
 import math
 import re
@@ -13,9 +13,9 @@ from pydantic_core import PydanticCustomError
 from hsed_jax.errors import UserError
 
 MOST = 1e100
-"""No number of a structure, a specimen or a record is larger, nor closer to zero than its inverse."""
+"""Limit of numbers of a structure, a specimen or a record; no number is larger, or closer to zero than its inverse."""
 DEPTH = 50
-"""Lists and mappings within one another, at most."""
+"""Largest depth of nested lists and mappings."""
 _PARTS = 1_000_000
 _TOO_DEEP = f"lists and mappings are nested more than {DEPTH} deep"
 
@@ -25,7 +25,7 @@ _FLOAT, _DATE = "tag:yaml.org,2002:float", "tag:yaml.org,2002:timestamp"
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML in which 2e5 is a number, as engineers write it, a date is a text, and a key stands once."""
+    """Safe YAML in which 2e5 is a number, a date is a text, and keys are unique."""
 
     _within = 0
 
@@ -42,7 +42,7 @@ class _Loader(yaml.SafeLoader):
             return super().construct_object(node, deep)
         except yaml.YAMLError:
             raise
-        except Exception:  # PyYAML raises whatever Python says to a text such as !!bool abc
+        except Exception:  # PyYAML raises any exception on a text such as !!bool abc
             kind = _KINDS.get(node.tag.rpartition(":")[2], f"what {node.tag} stands for")
             problem = f"{shown(node.value)} is not {kind} that can be read"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from None
@@ -76,7 +76,7 @@ def parse_yaml(text: str, where: str) -> Any:
     """Parse YAML.
 
     Raises:
-        UserError: it is none, is nested without end, or has a value that cannot be read; names the place.
+        UserError: it is not YAML, is nested without end, or has a value that cannot be read; the message names the place.
     """
     fault = f"{where}: not valid YAML"
     try:
@@ -88,7 +88,7 @@ def parse_yaml(text: str, where: str) -> Any:
         line = f"line {place.line + 1}, column {place.column + 1}"
         quote = "; quote a text that begins with a sign" if "cannot start any token" in (problem or "") else ""
         raise UserError(f"{fault}: {line}: {problem or 'it cannot be read'}{quote}") from None
-    # An alias may hold itself, or a thousand of another.
+    # An alias may contain itself, or a thousand copies of another.
     parts, waiting = 0, [(content, 1)]
     while waiting:
         node, depth = waiting.pop()
@@ -103,13 +103,13 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def dump_yaml(content: Any, *, inline_leaves: bool = False) -> str:
-    """Write plain values so that `parse_yaml` gives them back; innermost lists and mappings in one line, if that is asked."""
+    """Write plain values so that `parse_yaml` gives them back; innermost lists and mappings in one line, if requested."""
     style = None if inline_leaves else False
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=style)
 
 
 def shown(value: Any, most: int = 60) -> str:
-    """A value as a message shows it: quoted, and not a page of it."""
+    """A value for a message: quoted and shortened."""
     try:
         text = repr(value[: most + 1] if isinstance(value, str | bytes) else value)
     except ValueError:  # Python writes no whole number of thousands of digits
@@ -118,7 +118,7 @@ def shown(value: Any, most: int = 60) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is such a file; of a name that cannot be one (with NUL, too long) there is none."""
+    """Whether there is such a file; False for an impossible name (with NUL, too long)."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -126,7 +126,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether there is such a folder; of a name that cannot be one there is none."""
+    """Whether there is such a folder; False for an impossible name."""
     try:
         return path.is_dir()
     except (OSError, ValueError):
@@ -134,25 +134,25 @@ def is_folder(path: Path) -> bool:
 
 
 def name_fault(name: str) -> str | None:
-    """Why a text cannot name a folder or the file of an experiment; None where it can."""
+    """The reason why a text cannot name a folder or the file of an experiment; None if it can."""
     if not name or name != name.strip() or not name.isprintable():
         return "it must be one line of text without blanks around it"
     if name in (".", "..") or Path(name).name != name:
         return "it must name a folder, not a path: no slash, and not . or .."
-    # A file system has 255 bytes for a name, and a folder, a sheet or a file add to it.
+    # A file system has 255 bytes for a name, and folders, sheets and files add endings.
     if len(name.encode()) > 200:
         return "it is too long; at most 200 bytes"
     return None
 
 
 def stem_of(name: str) -> str:
-    """A name for a folder or an experiment, made of the name of a file."""
+    """A name for a folder or an experiment, from the name of a file."""
     stem = "".join(c if c.isalnum() or c in "_-" else "_" for c in Path(name).stem).strip("_-")
     return stem[:60] or "measurements"
 
 
 def in_range(number: float) -> bool:
-    """Whether a number is zero or of a size that can be computed with."""
+    """Whether a number is zero or of a computable size."""
     return number == 0 or 1 / MOST <= abs(number) <= MOST
 
 
@@ -172,8 +172,8 @@ def _sized(value: Any) -> Any:
 
 
 Number = Annotated[float, _no_truth("float"), AfterValidator(_sized)]
-"""A number; true is none."""
+"""A number; true is not a number."""
 Magnitude = Annotated[float, _no_truth("float"), Field(ge=0, le=MOST)]
-"""How large something is, as near to zero as it may be."""
+"""A size, which may be arbitrarily close to zero."""
 Whole = Annotated[int, _no_truth("int"), Field(le=2**63)]
-"""A whole number; true is none."""
+"""A whole number; true is not a number."""

@@ -1,8 +1,8 @@
 """Pictures of the results for a notebook or a script: each function draws one figure and returns its axes.
 
-The axes are matplotlib's own, to go on editing; the figure behind them is `axes.figure`, and of several axes
-`axes[0].figure`.  A notebook shows it by itself, a script after `matplotlib.pyplot.show()`.  The house style
-applies to these figures alone.
+The axes are those of matplotlib, for further editing; the figure behind them is `axes.figure`, and of several axes
+`axes[0].figure`.  A notebook shows it by itself, a script after `matplotlib.pyplot.show()`.  The house style applies to these
+figures alone.
 """
 
 from collections.abc import Mapping
@@ -41,7 +41,7 @@ from hsed_jax.runs.outcome import Outcome
 from hsed_jax.runs.workflow import Run
 from hsed_jax.study.build import Built
 
-# What a study brings along.
+# The excitation of a study.
 
 
 def ground_motions(study: Study) -> np.ndarray:
@@ -62,7 +62,7 @@ def ground_motions(study: Study) -> np.ndarray:
     return _several(design_figures.excitations(found, built.mechanics.pair))
 
 
-# What a calibrated model makes of its measurements.
+# A calibrated model and its measurements.
 
 
 def histories(calibration: Calibration, experiment: str, campaign: Campaign | None = None) -> np.ndarray:
@@ -114,7 +114,7 @@ def cycles(calibration: Calibration, campaign: Campaign | None = None, before: C
     Arguments:
         calibration: a model calibrated on time histories with force and elongation.
         campaign: the experiments; by default those of the calibration.  Held-out ones come first; at most three are shown.
-        before: a model to lie beneath in red, as `improvement.original`.
+        before: a model drawn beneath in red, as `improvement.original`.
 
     Returns:
         Axes, three per experiment.
@@ -131,7 +131,7 @@ def cycles(calibration: Calibration, campaign: Campaign | None = None, before: C
 def where(calibration: Calibration, campaign: Campaign | None = None) -> np.ndarray:
     """Where the model fails: share of the squared error over time, cycle, amplitude, energy, rate, inputs and so on.
 
-    Bars are the error, the black line the samples; red is the part that tells most, with its rank in `locate`.
+    Bars are the error, the black line the samples; red is the part with the largest information, with its rank in `locate`.
 
     Arguments:
         calibration: a model calibrated on time histories.
@@ -191,7 +191,7 @@ def posterior(
 
     Arguments:
         calibration: the calibrated model; of more than six parameters the first six are shown.
-        before: a model to lie beneath in red, as `improvement.original`.
+        before: a model drawn beneath in red, as `improvement.original`.
         truth: values to be drawn as dashed lines, by name, SI.
 
     Returns:
@@ -202,11 +202,11 @@ def posterior(
 
 
 def population(calibration: Calibration, level: str | None = None) -> np.ndarray:
-    """What varies between specimens: every member with its 90 % interval, and the population that it comes from.
+    """The parameters that vary between specimens: every member with its 90 % interval, and its population.
 
     Arguments:
         calibration: of a study with `model.levels`.
-        level: the column that tells specimens apart; by default the last one of the study.
+        level: the column that distinguishes the specimens; by default the last one of the study.
 
     Returns:
         Axes, one for each parameter that varies with the level, (K,).
@@ -223,14 +223,14 @@ def population(calibration: Calibration, level: str | None = None) -> np.ndarray
     return _several(population_figures.population(level, levels[level], calibration.fit.units))
 
 
-# What is missing, and what adding it did.
+# The missing effect, and the improvement.
 
 
 def ranking(diagnosis: Diagnosis) -> Axes:
-    """The candidates for what is missing: what they predict as bars, probability beside them, what is named in blue.
+    """The candidates for the missing effect: their scores as bars, their probabilities beside them, named effects in blue.
 
     Raises:
-        UserError: the diagnosis looked at no candidate, since the noise explains the residual.
+        UserError: the diagnosis considered no candidate, because the noise explains the residual.
     """
     if not diagnosis.ranking:
         raise UserError(f"there is no candidate to draw: {diagnosis.sentence}")
@@ -238,7 +238,7 @@ def ranking(diagnosis: Diagnosis) -> Axes:
 
 
 def behaviour(diagnosis: Diagnosis) -> np.ndarray:
-    """What the specimen does along the test, before and with the named effects: an axis for each quantity that changes.
+    """The behaviour of the specimen along the test, without and with the named effects: an axis for each changing quantity.
 
     Raises:
         UserError: no quantity changes.
@@ -247,9 +247,8 @@ def behaviour(diagnosis: Diagnosis) -> np.ndarray:
 
 
 def learned(discovery: Discovery, campaign: Campaign) -> Axes:
-    """What was learned over its first coordinate: the curve with its 90 % band, and the formula dashed.
-
-    Of two coordinates there is one curve for each direction, or for the ends and the middle of the reach of the second.
+    """The learned function over its first coordinate: the curve with its 90 % band, and the formula dashed. A function of two
+    coordinates has one curve for each direction, or for the ends and the middle of the range of the second.
 
     Arguments:
         discovery: of `hx.discover`.
@@ -269,9 +268,8 @@ def error_fall(improvement: Improvement) -> Axes:
 
 
 def before_after(improvement: Improvement) -> np.ndarray:
-    """The experiment whose error fell most, of the held-out ones if there are any: loops and histories before and after.
-
-    Of quantities: predicted against measured, before and after.
+    """The experiment with the largest reduction of the error, if possible a held-out one: loops and histories before and
+    after. For quantities: predicted against measured, before and after.
 
     Returns:
         Axes in the order of their letters.
@@ -305,7 +303,7 @@ def parameters(improvement: Improvement, truth: Mapping[str, float] | None = Non
 
 
 def expected(design: AskTell, experiment: str) -> np.ndarray:
-    """What the model expects of an experiment that was asked, over time, and what was measured where it was told.
+    """The expected response of a requested experiment over time, and its measurements if they are reported.
 
     Arguments:
         design: that asked.
@@ -370,7 +368,7 @@ def _design(run: Run) -> Outcome:
 
 
 def _compared(calibration: Calibration, campaign: Campaign | None, observed: str):
-    """The comparison with a campaign, and the campaign, of a study that observes what is to be drawn."""
+    """The comparison with a campaign, and the campaign, of a study that observes the drawn outputs."""
     if calibration.built.study.observe != observed:
         other = "plot.histories" if observed == "quantities" else "plot.measured_against_predicted"
         raise UserError(f"the study does not observe {observed}; {other} shows what it observes")
@@ -386,7 +384,7 @@ def _there(picture: Picture | None, missing: str) -> Picture:
 
 def _several(picture: Picture) -> np.ndarray:
     """The axes of a picture in the order they were made, colour bars left out, its figure given to pyplot to show."""
-    # Without a window or a notebook nobody would ever close it: there the figure lives as long as its axes.
+    # Without a window or a notebook, nothing would close the figure: there it lives as long as its axes.
     if matplotlib.get_backend() not in backend_registry.list_builtin(BackendFilter.NON_INTERACTIVE):
         plt.figure(picture.figure)
     panels = [panel for panel in picture.figure.axes if panel.get_label() != "<colorbar>"]

@@ -1,10 +1,10 @@
-"""Programs whose traces outlive the process.
+"""Programs with stored traces.
 
-XLA keeps what it compiled (`hsed_jax.backend`), but a new process would still trace every program in Python and lower it before
-it can ask for it, which takes several times as long as loading it.  Here the lowered program is kept beside XLA's own, under a
-name made of all it depends on: the sources of this package, the versions of those it builds on, the static parts of the
-arguments and the shapes of the arrays.  What cannot be spelled out in that name, such as a function of a user's own, is traced
-as ever.
+XLA stores compiled programs (`hsed_jax.backend`), but a new process must still trace every program in Python and lower it
+before it can find the stored program. This takes several times as long as loading it. Here the lowered program is stored
+beside the file of XLA. Its name contains all dependencies: the sources of this package, the versions of other packages, the
+static parts of the arguments and the shapes of the arrays. A dependency without such a name, such as a function of the user,
+is traced each time.
 """
 
 import dataclasses
@@ -29,23 +29,24 @@ import numpy as np
 
 from hsed_jax.backend import private
 
-# What a trace depends on besides the sources here.
+# Dependencies of a trace besides the sources here.
 _PACKAGES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpyro", "tinygp", "numpy", "scipy")
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_debug_nans")
 # Functions and classes of these are known by their names, as long as the versions are.
 _KNOWN = {"hsed_jax", "builtins", "functools", *_PACKAGES}
-# LAPACK's routines that JAX promises no other version of, which is nothing here: a version has programs of its own.
+# Routines of LAPACK without a promise of JAX for other versions. This does not matter here: each version has its own
+# programs.
 _ROUTINES = ("lapack_dormqr_ffi",)
-# Programs of so many states of the sources are kept.
+# Number of states of the sources whose programs are kept.
 _STATES = 4
-# So many programs of a function stay in memory, some 10 MB each: a process that looks at campaign after campaign would be full of
-# them.  One that was given up is read again.
+# Number of programs of a function in RAM, some 10 MB each: a process with many campaigns would otherwise exceed the
+# RAM. A dropped program is read again.
 _MOST = 48
 _MISSING = object()
 
 
 class _UnspelledError(Exception):
-    """Something has no name that is the same in every process."""
+    """An object has no name that is the same in every process."""
 
 
 def program[**P, R](function: Callable[P, R]) -> "Program[P, R]":
@@ -65,18 +66,18 @@ class Program[**P, R]:
         self._function: Callable[..., Any] = function
         self._signature = inspect.signature(function)
         self._traced = eqx.filter_jit(function)
-        # By their keys, None where it cannot be kept; those that were used last stand last.
+        # By their keys, None if it cannot be stored; the most recently used ones are last.
         self._made: dict[Any, Any] = {}
         self._ordering = threading.Lock()
         self._making: dict[Any, threading.Lock] = {}
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the program; within another one, be a part of it."""
-        # However it is called, it is the same program.
+        # The form of the call does not change the program.
         given = self._signature.bind(*args, **kwargs)
         given.apply_defaults()
         leaves, structure = jax.tree.flatten((given.args, given.kwargs))
-        # By their types: this is done some thousand times in a study.
+        # By their types: this happens some thousand times in a study.
         types = [type(leaf) for leaf in leaves]
         if any(map(_is_tracer, types)) or not _is_kept():
             return self._traced(*args, **kwargs)
@@ -86,7 +87,8 @@ class Program[**P, R]:
         key = structure, is_operand, static, tuple([_kind(operand) for operand in operands])
         made = self._kept(key)
         if made is _MISSING:
-            # One thread makes a program that several need; those that need others make them meanwhile.
+            # One thread makes a program that several threads need; threads that need other programs make them
+            # meanwhile.
             with self._ordering:
                 making = self._making.setdefault(key, threading.Lock())
             with making:
@@ -104,13 +106,13 @@ class Program[**P, R]:
         return self._traced.lower(*args, **kwargs)
 
     def _kept(self, key: Any) -> Any:
-        """The program of this key, or that there is none."""
+        """The program of this key, or a mark for a missing program."""
         with self._ordering:
             made = self._made.pop(key, _MISSING)
             return made if made is _MISSING else self._made.setdefault(key, made)
 
     def _keep(self, key: Any, made: Callable[..., Any] | None) -> Callable[..., Any] | None:
-        """Keep a program; those that were not used for longest are given up."""
+        """Keep a program in RAM; the least recently used ones are dropped."""
         with self._ordering:
             self._made[key] = made
             self._making.pop(key, None)
@@ -119,15 +121,15 @@ class Program[**P, R]:
         return made
 
     def _make(self, structure, is_operand, static, operands) -> Callable[..., Any] | None:
-        """The program for arguments of one kind, as a function of its operands; None where it cannot be kept."""
-        # By their kind alone: where an array comes from would be a part of the program otherwise.
+        """The program for arguments of one kind, as a function of its operands; None if it cannot be stored."""
+        # By their kind alone: otherwise the origin of an array would be a part of the program.
         operands = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=a.weak_type) for a in map(jax.typeof, operands)]
         try:
             parts = _spelled(jax.tree.unflatten(structure, static)), is_operand, [_spelled(a) for a in operands]
             name = hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
         except _UnspelledError:
             return None
-        from jax import export  # which a check of a study has no need to load
+        from jax import export  # a check of a study need not load it
 
         if (folder := _folder()) is None:
             return None
@@ -144,7 +146,7 @@ class Program[**P, R]:
         return lambda *operands: jax.tree.unflatten(shape, call(*operands))
 
     def _lowered(self, structure, is_operand, static, operands) -> tuple[Any, bytearray] | None:
-        """The results' tree, and the lowered program as bytes; None where it has a part that cannot be kept."""
+        """The results' tree, and the lowered program as bytes; None if a part cannot be stored."""
         from jax import export
 
         skeletons: list[Any] = []
@@ -158,7 +160,7 @@ class Program[**P, R]:
             return [jnp.asarray(result) for result in results]
 
         jitted = jax.jit(flat)
-        # What is wrong with the function itself is an error, and raised here.
+        # A fault of the function itself is an error, and is raised here.
         jitted.trace(*operands)
         try:
             unpromised = [export.DisabledSafetyCheck.custom_call(name) for name in _ROUTINES]
@@ -180,7 +182,7 @@ def _is_array(kind: type) -> bool:
 
 
 def _kind(operand: Any) -> tuple[Any, ...]:
-    """What of an array a program depends on; those of NumPy are as those of JAX, which takes them as they are."""
+    """The properties of an array on which a program depends; arrays of NumPy count like those of JAX."""
     return operand.shape, operand.dtype, getattr(operand, "weak_type", False)
 
 
@@ -194,10 +196,10 @@ def _is_kept() -> bool:
 
 
 def _spelled(part: Any) -> Any:
-    """Something in nested tuples of words and numbers.
+    """An object in nested tuples of words and numbers.
 
     Raises:
-        _UnspelledError: it is of a kind whose behaviour is not known by its parts.
+        _UnspelledError: its parts do not determine its behaviour.
     """
     if part is None or isinstance(part, bool | int | float | complex | str | bytes):
         return type(part).__name__, part
@@ -239,7 +241,7 @@ def _known_by_name(thing: Any) -> tuple[str, str]:
 
 @functools.cache
 def _state() -> str:
-    """The sources of this package, and what else traces depend on."""
+    """The sources of this package, and the other dependencies of traces."""
     digest = hashlib.blake2b(digest_size=10)
     digest.update(repr((sys.version_info, [(name, version(name)) for name in _PACKAGES])).encode())
     digest.update(repr((jax.default_backend(), [getattr(jax.config, name) for name in _SETTINGS])).encode())
@@ -250,7 +252,7 @@ def _state() -> str:
 
 
 def _folder() -> Path | None:
-    """Where the programs of this state of the sources lie; None where other users may write."""
+    """The folder of the programs of this state of the sources; None if other users may write there."""
     folder = private(Path(jax.config.jax_compilation_cache_dir or "") / "programs")
     return None if folder is None else folder / _state()
 
@@ -258,12 +260,12 @@ def _folder() -> Path | None:
 def _read(file: Path) -> tuple[Any, bytearray] | None:
     try:
         return pickle.loads(file.read_bytes())
-    except Exception:  # a file that was cut short can raise anything, and is made again
+    except Exception:  # a truncated file can raise any exception, and is made again
         return None
 
 
 def _write(file: Path, kept: tuple[Any, bytearray]) -> None:
-    """Keep a program; where nothing can be written, it is traced again next time."""
+    """Store a program; if it cannot be written, it is traced again next time."""
     try:
         if not file.parent.exists():
             file.parent.mkdir(parents=True)

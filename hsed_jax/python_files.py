@@ -1,4 +1,4 @@
-"""Python files of a user's own, which a study names: executed, with one message for whatever goes wrong."""
+"""Python files of the user that a study names: they are executed, and a fault causes one message."""
 
 import importlib.util
 from functools import cache
@@ -23,7 +23,7 @@ def module_of(path: Path) -> ModuleType:
 
 @cache
 def _as_changed(path: Path, changed: int) -> ModuleType:
-    """The module of a file as it was last changed [ns]."""
+    """The module of a file with this time of the last change [ns]."""
     return executed(path)
 
 
@@ -31,7 +31,7 @@ def executed(path: Path) -> ModuleType:
     """The module that a file makes.
 
     Raises:
-        UserError: there is no such file, it is no Python, or it fails or leaves by an exit.
+        UserError: there is no such file, it is not Python, or it fails or calls exit.
     """
     if not is_file(path):
         raise UserError(f"there is no such file ({path})")

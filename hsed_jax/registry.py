@@ -1,4 +1,4 @@
-"""Parts that come one to a file: the file registers its class, and the folder is the registry.
+"""Parts with one file each: the file registers its class, and the folder is the registry.
 
 A study names a part by the name of its file.  The names are known without executing a file, and a file is executed when its part
 is first asked for: a wrong name is refused before JAX is loaded.
@@ -32,7 +32,7 @@ def register[T: type[Any]](cls: T) -> T:
 
 
 def registered(module: ModuleType) -> tuple[Any, ...]:
-    """The classes that a module has registered, in order; what it imports from elsewhere is not registered there."""
+    """The classes that a module has registered, in order; imported classes are not registered there."""
     # The mark of a class is not that of its subclasses.
     return tuple(item for item in vars(module).values() if isinstance(item, type) and "registered" in vars(item))
 
@@ -42,8 +42,8 @@ class Parts[T](Mapping[str, type[T]]):
 
     Arguments:
         folder: dotted name of the folder; each of its files is a part.
-        noun: what a part is called in a message.
-        helpers: files of the folder that are no parts.
+        noun: name of a part in a message.
+        helpers: files of the folder that are not parts.
     """
 
     def __init__(self, folder: str, noun: str, helpers: Collection[str] = ("base",)):
@@ -88,7 +88,7 @@ class Parts[T](Mapping[str, type[T]]):
         """The name of a part.
 
         Raises:
-            ValueError: there is no such part; the message names those that there are.
+            ValueError: there is no such part; the message lists the existing ones.
         """
         if name not in self:
             close = difflib.get_close_matches(name, self, n=1)

@@ -1,4 +1,4 @@
-"""What sections of a study are made of: the section itself, kinds of numbers, and errors of what is measured."""
+"""Parts of the sections of a study: the section itself, kinds of numbers, and errors of the measurements."""
 
 import difflib
 import shlex
@@ -42,7 +42,7 @@ class NoiseEntry(Section):
 
     @property
     def kinds(self) -> int:
-        """In how many ways the entry says how large the noise is."""
+        """Number of given sizes of the noise."""
         return sum(kind is not None for kind in (self.relative, self.absolute, self.unknown))
 
     @model_validator(mode="after")
@@ -53,13 +53,13 @@ class NoiseEntry(Section):
 
 
 class ErrorEntry(NoiseEntry):
-    """Error of an output, which a likelihood is made of: its size as of a noise, unknown ones inferred; without a size, as the
+    """Error of an output for the likelihood. Its size is that of a noise; an unknown size is inferred; without a size, the
     campaign declares it.
 
-    `correlated` says whether the noise of a history has a memory, which is then inferred; by default one is where the size of the
-    noise is declared, and false takes every sample for news.  `inflate` counts as error what the model leaves beyond the
-    declared one, `discrepancy` learns it.  `of` says what a relative error is relative to: what is predicted (of a quantity an
-    error of its logarithm) or what was measured (Gaussian, of a given scale: Eqs. 2 to 4 of Abbiati & Marelli).
+    `correlated` states whether the noise of a history is autocorrelated, with an inferred correlation time. By default it is
+    if the size of the noise is declared; false treats all samples as independent.  `inflate` counts the residual beyond the
+    declared error as error, `discrepancy` learns it.  `of` gives the reference of a relative error: the prediction (for a
+    quantity an error of its logarithm) or the measurement (Gaussian, with a given scale: Eqs. 2 to 4 of Abbiati & Marelli).
     """
 
     of: Literal["predicted", "measured"] = "predicted"
@@ -92,7 +92,7 @@ TAGS = ("same error for all", "error per output")
 
 
 def _kind(value: Any) -> str:
-    """Which of the two shapes an error has: keys that are no kinds of errors must be names of outputs."""
+    """The shape of an error: keys that are not kinds of errors must be names of outputs."""
     per_output = isinstance(value, dict) and bool(value) and not set(value) & set(ErrorEntry.model_fields)
     return TAGS[per_output]
 
@@ -109,12 +109,12 @@ NoisesEntry = Annotated[
 
 
 class ProgramEntry(Section):
-    """A program, and how long it may take each time [s]."""
+    """A program, and its time limit [s]."""
 
     run: Annotated[str, Field(min_length=1)]
-    """The program and its arguments; names in braces stand for values: `{folder}`, `{python}`, `{study}` and others."""
+    """The program and its arguments; names in braces are replaced by values: `{folder}`, `{python}`, `{study}` and others."""
     timeout: Positive = 3600.0
-    """How long the program may take each time [s]; twice the time that it needs."""
+    """Time limit of each call of the program [s]; give twice the time that it needs."""
 
     @model_validator(mode="before")
     @classmethod
@@ -131,7 +131,7 @@ class ProgramEntry(Section):
     def words(self, folder: Path) -> tuple[str, ...]:
         """The program and its arguments; files beside the study by their whole path."""
         first, *rest = (word.replace("{study}", str(folder.absolute())) for word in shlex.split(self.run))
-        # As in a shell, a program without a slash is one of the path.
+        # As in a shell, a program without a slash is searched in the path.
         rest = [str((folder / word).absolute()) if is_file(folder / word) else word for word in rest]
         return (str((folder / first).absolute()) if "/" in first else first, *rest)
 
@@ -194,7 +194,7 @@ MODELS = ("a model of a spring law", "a model that is a function", "a model that
 
 
 class InputEntry(Section):
-    """What varies, or is calibrated: its distribution and its unit."""
+    """An input or a calibrated parameter: its distribution and its unit."""
 
     prior: PriorEntry
     unit: str = "1"
@@ -227,7 +227,7 @@ def _known_law(name: str) -> str:
 
 
 class OwnLawEntry(Section):
-    """A spring law of the user's own: a class in a Python file, relative to the study."""
+    """A spring law of the user: a class in a Python file, relative to the study."""
 
     file: str
     law: str = Field(alias="class")
@@ -235,7 +235,7 @@ class OwnLawEntry(Section):
     @model_validator(mode="before")
     @classmethod
     def _file_and_class(cls, value: Any) -> Any:
-        """`mine.py:MyLaw`, as the code of a user's own is named everywhere."""
+        """`mine.py:MyLaw`, the usual name of the user's code."""
         file, colon, law = value.rpartition(":") if isinstance(value, str) else ("", "", "")
         return {"file": file, "class": law} if colon else value
 
@@ -248,9 +248,9 @@ SpringEntry = Annotated[str, AfterValidator(_known_law)] | OwnLawEntry
 """A spring law by its name, or a user's own."""
 
 ParameterEntry = Number | Annotated[dict[str, Any], BeforeValidator(prior_or_default)]
-"""A fixed number, or a prior; `{}` is the prior that law or catalogue have for it."""
+"""A fixed number, or a prior; `{}` is the prior of the law or the catalogue."""
 FORM, DRIVER = "form", "driver"
-"""Keys of an effect that are no parameters: which of its forms it has, and what drives it."""
+"""Keys of an effect that are not parameters: its form and its driver."""
 
 
 def _effect(value: Any, validated: Any) -> Any:
@@ -264,6 +264,6 @@ def _effect(value: Any, validated: Any) -> Any:
 
 
 EffectEntry = Annotated[dict[str, ParameterEntry], WrapValidator(_effect), PlainSerializer(dict)]
-"""An effect: its form and driver, where they are not the default ones, and its parameters."""
+"""An effect: its form and driver, if they differ from the default ones, and its parameters."""
 TrueEffectEntry = Annotated[dict[str, Number], WrapValidator(_effect), PlainSerializer(dict)]
 """The same of a virtual specimen: every parameter is a number."""

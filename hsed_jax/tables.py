@@ -1,4 +1,4 @@
-"""A small table that is read: the same sentence, rows and notes as text in a terminal and as HTML in a notebook."""
+"""A small table for readers: the same sentence, rows and notes as text in a terminal and as HTML in a notebook."""
 
 import math
 import re
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from html import escape
 
 MOST = 12
-"""Rows that are shown; of more, how many they are is said."""
+"""Number of shown rows; of longer tables, the number of the others is stated."""
 
 _NUMBER = re.compile(r"[+\-−]?[\d.].*|–?")
 
 
 @dataclass(frozen=True)
 class Table:
-    """What an object says of itself.
+    """The displayed text of an object.
 
     Attributes:
-        sentence: what matters, before the table.
-        heads: of the columns; none where the first column says what the others are.
+        sentence: main result, before the table.
+        heads: of the columns; empty if the first column names the contents of the others.
         rows: cells, all rows of one length.
         notes: sentences after the table.
     """
@@ -55,7 +55,7 @@ class Table:
 
     @property
     def _right(self) -> list[bool]:
-        """Which columns hold numbers alone and so stand on the right."""
+        """The columns with numbers only, which are right-aligned."""
         columns = zip(*self.rows, strict=True)
         return [any(column) and all(_NUMBER.fullmatch(cell) for cell in column) for column in columns]
 
@@ -66,7 +66,7 @@ class Table:
 
 
 class Tabular:
-    """What shows itself as a table; a dataclass of this kind leaves `__repr__` to it (`repr=False`)."""
+    """An object that is displayed as a table; a dataclass of this kind leaves `__repr__` to it (`repr=False`)."""
 
     def _table(self) -> Table:
         raise NotImplementedError
@@ -82,11 +82,11 @@ class Tabular:
 
 
 def cell(value: float | None, look: str = ".3f") -> str:
-    """A number as a cell, in a format of Python; a dash where there is none."""
+    """A number as a cell, in a format of Python; a dash without one."""
     return "–" if value is None or not math.isfinite(value) else format(value, look)
 
 
 def odds(nats: float) -> str:
-    """What a log Bayes factor makes of even odds, such as `20 to 1`."""
+    """The odds from a log Bayes factor and even prior odds, such as `20 to 1`."""
     # Two digits, and no power of ten.
     return f"{float(f'{math.exp(nats):.2g}'):.7g} to 1" if nats < math.log(1e6) else "more than a million to 1"

@@ -96,7 +96,7 @@ def test_a_run_is_read_back(study, campaign, fit, tmp_path):
     assert run.summary["calibration"]["map"] == pytest.approx(fit.map, rel=1e-9)
     np.testing.assert_allclose(run.results["posterior"]["k"], fit.posterior["posterior"]["k"], rtol=1e-9)
     assert repr(run).startswith(f"run spring in {tmp_path / 'run'}: complete")
-    with pytest.raises(hx.UserError, match="no run folder"):
+    with pytest.raises(hx.UserError, match="not a run folder"):
         hx.read_run(tmp_path / "spring")
 
 

@@ -46,7 +46,7 @@ def test_a_file_becomes_a_campaign_a_study_and_a_picture(wall, capsys):
         "campaign.yaml", "experiments.csv", "figures", "loops.png", "records", "study.yaml"]  # fmt: skip
     assert Path("wall/loops.png").read_bytes().startswith(b"\x89PNG")
     # Its work is negative: that is doubted, and drawn beside the study.
-    assert said[-2] == "wall: the picture wall/figures/doubts_wall.png marks what is doubted"
+    assert said[-2] == "wall: the picture wall/figures/doubts_wall.png marks the doubtful samples"
     assert Path("wall/figures/doubts_wall.png").read_bytes().startswith(b"\x89PNG")
     text = Path("wall/study.yaml").read_text()
     assert "# Made of wall.csv:\n#   elongation: column 'top_displacement [mm]'" in text

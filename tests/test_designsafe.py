@@ -203,7 +203,7 @@ def test_what_is_no_such_project_is_refused_in_one_message(tmp_path, capsys):
     hx.write_designsafe(source, project)
     with pytest.raises(UserError, match="not empty"):
         hx.write_designsafe(source, project)
-    with pytest.raises(UserError, match="is no project of DesignSafe"):
+    with pytest.raises(UserError, match="is not a project of DesignSafe"):
         hx.read_designsafe(source)
     sensors = "designsafe.project.sensor_list"
 

@@ -86,7 +86,7 @@ def test_check_writes_the_picture_beside_the_study_and_names_it(tmp_path, monkey
     capsys.readouterr()
     assert main(["check", "wall/study.yaml"]) == 0
     said, path = capsys.readouterr().out, Path("wall/figures/doubts_E01.png")
-    assert path.exists() == wrong == (f"E01: the picture {path} marks what is doubted" in said)
+    assert path.exists() == wrong == (f"E01: the picture {path} marks the doubtful samples" in said)
 
 
 def test_a_folder_that_cannot_be_written_does_not_stop_the_check(tmp_path, monkeypatch, capsys):

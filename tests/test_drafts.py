@@ -123,7 +123,7 @@ def test_a_report_of_a_folder_with_links_overwrites_nothing_outside(tmp_path, mi
     assert mine.read_bytes() == MINE
     (run / "report.html").unlink()
     (run / "report.html").symlink_to(mine)
-    assert main(["report", str(run)]) == 2 and "is no report" in capsys.readouterr().err
+    assert main(["report", str(run)]) == 2 and "is not a report" in capsys.readouterr().err
     assert mine.read_bytes() == MINE
 
 

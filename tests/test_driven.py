@@ -172,7 +172,7 @@ def test_a_force_on_a_mass_that_is_not_there_is_refused(pushed):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [("t,F\n0,1\n0,2\n", "times that grow"), ("t,F\n0,1\n1,nan\n", "finite"), ("F\n1\n2\n", "one column"), ("", "empty")],
+    [("t,F\n0,1\n0,2\n", "increasing times"), ("t,F\n0,1\n1,nan\n", "finite"), ("F\n1\n2\n", "one column"), ("", "empty")],
 )  # fmt: skip
 def test_a_file_that_is_no_history_is_refused(pushed, tmp_path, content, said):
     study = pushed()

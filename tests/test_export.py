@@ -334,12 +334,12 @@ def test_code_of_a_run_is_not_executed(run_folder, capsys):
     folder = run_folder(own="[mine.py]")
     (folder / "mine.py").write_text("raise SystemExit('executed')")
     assert main(["export", str(folder), "--opensees"]) == 2
-    assert "its model is code of its own (mine.py)" in capsys.readouterr().err
+    assert "its model is the user's code (mine.py)" in capsys.readouterr().err
 
 
 def test_mistakes_are_one_line(run_folder, tmp_path, capsys):
     assert main(["export", str(tmp_path / "none"), "--table"]) == 2
-    assert "is no run folder" in capsys.readouterr().err
+    assert "is not a run folder" in capsys.readouterr().err
     assert main(["export", str(run_folder())]) == 2
     assert "choose what to export: --opensees, --table" in capsys.readouterr().err
     folder = run_folder()

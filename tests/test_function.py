@@ -343,7 +343,7 @@ def test_a_function_is_told_the_force_that_is_applied(folder):
     assert set(told) == {"x", "time", "applied_force_2"}
     np.testing.assert_allclose(told["time"], time, atol=1e-12)
     np.testing.assert_allclose(told["applied_force_2"], 3.0 * force, atol=1e-6)
-    with pytest.raises(UserError, match=r"inputs\.applied_force_1: a function is told a history of this name"):
+    with pytest.raises(UserError, match=r"inputs\.applied_force_1: a function gets a history of this name"):
         Built(study_of(folder, ["inputs={applied_force_1: {uniform: [1.0, 5.0]}}"])).check()
 
 
@@ -434,5 +434,5 @@ def test_a_study_of_a_function_that_makes_no_sense_is_one_clear_message(folder, 
 
 def test_a_history_has_a_name_that_no_input_may_have(folder):
     study = study_of(folder, ["inputs={time: {uniform: [1.0, 5.0]}}"])
-    with pytest.raises(UserError, match=r"inputs\.time: a function is told a history of this name"):
+    with pytest.raises(UserError, match=r"inputs\.time: a function gets a history of this name"):
         Built(study).check()

@@ -250,7 +250,7 @@ def test_a_quick_command_does_not_wait_for_packages_that_it_has_no_use_for(what,
 
 def test_the_rooms_of_the_design_page_are_those_of_the_package_in_the_order_of_their_imports():
     page = (PACKAGE.parent / "docs" / "design.md").read_text(encoding="utf-8")
-    table = page.split("| room | what it knows |")[1].split("\n\n")[0]
+    table = page.split("| package | content |")[1].split("\n\n")[0]
     named = re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)
     rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
     # Two of them are single modules: the figures of a notebook and the command line.

@@ -61,9 +61,9 @@ def test_what_leans_is_said_with_its_unit_and_what_to_do():
     units = {"A": "N/m", "beta": "1/m"}
     said = caution(found, priors, {"A": 2e5, "beta": 2.0}, posterior, units)
     assert said == (
-        "estimates lean on bounds of their priors that are no physical limits: "
+        "estimates are on bounds of their priors that are not physical limits: "
         "A = 2e+05 N/m on the lower bound of 2e+05 to 9e+05, beta = 2 1/m on the upper bound of 0.5 to 2; "
-        "the data ask for values that these priors exclude: widen them and calibrate again "
+        "these priors exclude values that fit better: widen them and calibrate again "
         "before an effect is named"
     )
     assert json.dumps([one.summary() for one in found], allow_nan=False)
@@ -115,7 +115,7 @@ def test_a_calibration_says_first_which_estimates_lean(campaign):
     found = {one.parameter: one.side for one in calibration.fit.leaning}
     assert found["beta"] == "lower"
     first = repr(calibration).splitlines()[0]
-    assert first.startswith(("an estimate leans on a bound", "estimates lean on bounds")) and "beta = 50 1/m" in first
+    assert first.startswith(("an estimate is on a bound", "estimates are on bounds")) and "beta = 50 1/m" in first
     # With the bound open nothing leans, and the data are explained.
     opened = hx.calibrate(Study.model_validate(content(beta={"uniform": [0.0, 200.0]})), campaign)
     assert opened.fit.leaning == () and opened.fit.doubt is None

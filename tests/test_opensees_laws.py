@@ -444,7 +444,7 @@ def test_laws_are_ranked_by_what_they_predict(tmp_path, capsys):
     )
     assert again.best is not None and again.best.name == "opensees:SelfCentering"
     assert [law.error_test for law in again.laws] == [law["error_test"] for law in told["laws"]]
-    assert "opensees:SelfCentering predicts best" in capsys.readouterr().out
+    assert "opensees:SelfCentering predicts the held-out data best" in capsys.readouterr().out
     # The run of a law is exported as any run is, and the script agrees.
     assert main(["export", str(tmp_path / "laws" / "opensees_SelfCentering"), "--opensees", "--table"]) == 0
     made = tmp_path / "laws" / "opensees_SelfCentering" / "export"

@@ -31,7 +31,7 @@ def test_data_of_the_model_itself_are_within_its_priors():
     assert [(reach.experiment, reach.output) for reach in found] == [(f"E0{n}", "force") for n in range(1, 5)]
     assert not any(reach.is_outside for reach in found)
     assert prior_sentences(built.inference, campaign) == [
-        "E01, E02, E03, E04: the measured force lies within what the priors predict"
+        "E01, E02, E03, E04: the measured force is within the predictions of the priors"
     ]
 
 

@@ -62,7 +62,7 @@ def test_the_figures_on_the_page_are_those_of_the_summary(folder):
     assert values["error_test_after"] == known["improvement"]["comparison"]["test"]["error"]
     assert values["noise_floor"] == 0.05
     assert values["probability_hardening"] == 0.9987
-    label = "probability of hardening among the listed formulas; where its formula is not listed, right in about 80 %"
+    label = "probability of hardening among the listed formulas; if its formula is not listed, right in about 80 %"
     assert f'data-figure-key="probability_hardening">0.999</data><span>{label}' in page
     said = "With hardening the error on experiments that were not used goes from 0.350 to 0.055 (noise 0.050)."
     assert verdict(read_run(folder)) == f"{said} The noise does not explain the rest."
@@ -112,7 +112,7 @@ def test_after_an_improvement_it_is_said_where_the_improved_model_fails(tmp_path
     places = [{"sentence": "90 % of the squared error is after 3 s"}]
     page = page_of(tmp_path, lambda found: found["improvement"]["comparison"].update(where=places))
     own = page[page.index("<h2>Where it fails") :]
-    assert own.index("The model as it was") < own.index("The improved model:") < own.index("90 % of the squared error")
+    assert own.index("Misfit of the first model") < own.index("The improved model:") < own.index("90 % of the squared error")
     shutil.rmtree(tmp_path / "run")
     page = page_of(tmp_path, lambda found: found["improvement"]["comparison"].update(where=[]))
     assert "The misfit of the improved model is not concentrated in any part of the data." in page
@@ -356,7 +356,7 @@ def test_a_page_takes_no_script_and_no_address_from_somebodys_figure(inside):
     drawing = '<svg xmlns="http://www.w3.org/2000/svg">{}<path d="M 0 0"/></svg>'
     assert "<path" in inline("fine", drawing.format("<?x > <script>alert(1)</script> ?><!-- <script> -->")).svg
     assert "script" not in inline("fine", drawing.format("<?x > <script>alert(1)</script> ?><!-- <script> -->")).svg
-    with pytest.raises(UserError, match=r"figures/worst\.svg: (it holds more than|this is no) "):
+    with pytest.raises(UserError, match=r"figures/worst\.svg: (it contains more than|this is not a) "):
         inline("worst", drawing.format(inside))
 
 
@@ -575,8 +575,8 @@ def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (None, "error: the noise that the campaign declares, inferred where it declares none."),
-        ({"inflate": True}, "inferred where it declares none, and the residual beyond it."),
+        (None, "error: the noise that the campaign declares, otherwise an inferred noise."),
+        ({"inflate": True}, "otherwise an inferred noise, and the residual beyond it."),
         ({"relative": 0.05, "correlated": False}, "error: 5 % of the RMS of each history."),
         (
             {"relative": 0.05, "discrepancy": True},

@@ -282,7 +282,7 @@ def test_another_study_is_not_resumed_and_the_key_that_differs_is_named(study, w
 def test_a_folder_that_is_no_run_is_left_alone_even_by_force(study, tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("ten years of work")
     for flag in ([], ["--resume"], ["--force"]):
-        assert "no run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
+        assert "not a run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
@@ -290,7 +290,7 @@ def test_a_folder_of_measurements_with_a_study_in_it_is_no_run_and_loses_nothing
     for name in ("campaign.yaml", "experiments.csv", "study.yaml"):
         (tmp_path / name).write_text("measured")
     for flag in ([], ["--resume"], ["--force"]):
-        assert "no run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
+        assert "not a run folder" in refusal([study, "--output", tmp_path, *flag], capsys)
     assert {path.read_text() for path in tmp_path.glob("[ces]*")} == {"measured"}
 
 
@@ -445,7 +445,7 @@ def test_an_event_that_lacks_a_key_is_one_clear_message(built, tmp_path, event, 
     store = RunFolder(tmp_path / "run", built.study.written())
     store.record("asked", **ASKED)
     store.record(event, **content)
-    with pytest.raises(UserError, match=r"journal\.jsonl: line 2 is no whole event"):
+    with pytest.raises(UserError, match=r"journal\.jsonl: line 2 is not a complete event"):
         Conduct(built, store)
     store.close()
 

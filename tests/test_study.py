@@ -507,4 +507,4 @@ def test_the_name_of_a_file_in_place_of_a_study_is_told(tmp_path):
         text=True,
         cwd=tmp_path,
     )
-    assert "UserError: study: 'study.yaml' is no study; hx.load_study" in said.stderr
+    assert "UserError: study: 'study.yaml' is not a study; hx.load_study" in said.stderr

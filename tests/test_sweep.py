@@ -161,9 +161,9 @@ MISTAKES = {
     "set for all": (["seed=3", "--set", "seed=1,2"], "seed: this key is both set for all studies and swept"),
     "a part": (["--set", "error={relative: 0.1}", "--set", "error.relative=0.2"], "error.relative: this key is a part"),
     "same point": (["--set", "seed=1,2,1"], "points 1 and 3 are the same: seed = 1"),
-    "no value": (["--set", "seed"], "--set seed: a key and its values are wanted"),
+    "no value": (["--set", "seed"], "--set seed: give a key and its values"),
     "name": (["--set", "study=a,b"], "the name of a study cannot be swept"),
-    "no samples": (["--range", "error.relative=0.1,0.2"], "say how many samples"),
+    "no samples": (["--range", "error.relative=0.1,0.2"], "give the number of samples"),
     "no range": (["--samples", "3"], "samples need at least one range"),
     "range": (["--range", "error.relative=0.2,0.1", "--samples", "3"], "error.relative: uniform: the lower bound 0.2"),
     "no workers": (["--set", "seed=1", "--workers", "0"], "0 workers cannot do anything"),
@@ -213,7 +213,7 @@ def test_a_folder_is_neither_overwritten_nor_mixed_into(file, study, tmp_path):
     (other / "thesis.tex").touch()
     (other / "sweep.yaml").touch()  # the user's own, of --grid
     for flag in ({}, {"force": True}, {"resume": True}):
-        with pytest.raises(UserError, match="is no folder of a sweep"):
+        with pytest.raises(UserError, match="is not a folder of a sweep"):
             sweep(study, sentence, output=other, **flag)
     assert sorted(item.name for item in other.iterdir()) == ["sweep.yaml", "thesis.tex"]
     there, plan = tmp_path / "there", plan_of(study, sentence, (), {}, None)
@@ -635,7 +635,7 @@ def test_the_command_says_how_many_failed(tmp_path):
     words = ["sweep", written(tmp_path), "--set", f"{FUNCTION}=stops,perform", "--output", tmp_path / "s"]
     done = subprocess.run(command(*words), capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0, done.stderr
-    assert f"1 of 2 studies failed: {tmp_path / 's' / 'failures.txt'} says why" in done.stdout
+    assert f"1 of 2 studies failed: {tmp_path / 's' / 'failures.txt'} has the reasons" in done.stdout
     assert yaml.safe_load((tmp_path / "s" / "sweep.yaml").read_text())["points"][0] == {FUNCTION: "stops"}
 
 

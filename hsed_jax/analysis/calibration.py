@@ -51,7 +51,7 @@ class Calibration(Tabular):
     """A model calibrated on a campaign.
 
     Attributes:
-        built: the study and what was built of it.
+        built: the study and its built parts.
         campaign: the experiments; those of the test split were not fitted.
         fit: MAP, draws and their convergence.
 
@@ -100,7 +100,9 @@ class Calibration(Tabular):
         )
 
     def apart(self, campaign: Campaign) -> Apart | None:
-        """How far the specimens of a campaign are from their population, those for training first; None without levels."""
+        """The difference between the specimens of a campaign and their population, training specimens first; None
+        without levels.
+        """
         posterior = self.fit.posterior
         if not (levels := posterior.population.levels):
             return None
@@ -120,7 +122,7 @@ class Calibration(Tabular):
 
     @cached_property
     def test(self) -> Prediction | None:
-        """Predictions of the experiments that were held out; None where there are none."""
+        """Predictions of the held-out experiments; None without them."""
         return self.predict(self.campaign.test) if len(self.campaign.test) else None
 
     def _table(self) -> Table:
@@ -133,7 +135,7 @@ class Calibration(Tabular):
 
 
 def campaign_of(study: Study) -> Campaign:
-    """The experiments of a study: the campaign it names, or what its virtual laboratory measures at the initial design."""
+    """The experiments of a study: its campaign, or the measurements of its virtual laboratory at the initial design."""
     built = Built(study)
     return built.site.perform() if built.experiments.measured is None else built.experiments.measured
 
@@ -163,7 +165,7 @@ def calibrate_built(
     watch: Watch | None = None,
     settings: Settings | None = None,
 ) -> Calibration:
-    """`calibrate`, with what is built already.
+    """`calibrate`, with the built study.
 
     Arguments:
         built: the study.
@@ -198,7 +200,7 @@ def calibrate_built(
 
 
 def compare(calibration: Calibration, campaign: Campaign | None = None) -> Comparison:
-    """How far the calibrated model is from the measurements, against the noise.
+    """The error of the calibrated model, compared with the noise.
 
     Arguments:
         calibration: the calibrated model.
@@ -227,8 +229,8 @@ def locate(
 ) -> Location:
     """Where the calibrated model fails.
 
-    Where its discrepancy was learned, it is looked for in that, which is free of noise: of quantities over all inputs, in place
-    of the training experiments it was learned from.
+    If the model discrepancy is learned, the misfit is located in it, because it has no noise. For quantities it covers all
+    inputs instead of only the training experiments.
 
     Arguments:
         calibration: the calibrated model.
@@ -263,14 +265,14 @@ def simulate(
         study: the study.
         inputs: variable inputs by name in their declared units, numbers or arrays of one common length: a batch.
         parameters: free parameters by name (SI), numbers or arrays; by default the medians of their priors.
-        channels: histories to keep, by default elongation, force and energy of the specimen or of each, as far as the model
-            gives them; none (an empty tuple) for quantities alone, which is faster.
+        channels: histories to keep; by default elongation, force and energy of every specimen, if the model has them. An
+            empty tuple keeps only quantities, which is faster.
 
     Returns:
         The response, with the quantities of Eq. 18 and those that the study names; in a batch every array has a leading axis.
 
     Raises:
-        UserError: an input or parameter is missing or unknown, lengths differ, or the model gives no such history.
+        UserError: an input or parameter is missing or unknown, lengths differ, or the model does not have such a history.
 
     Example:
         >>> study = hx.load_study("study.yaml")

@@ -33,11 +33,11 @@ from hsed_jax.study.build import Built
 
 # Formulas that are fitted inside the simulation.
 _FORMULAS = 8
-# Posterior odds that a place needs over the model as it is and over chance with the same flexibility.
+# Posterior odds that a place needs against the first model and against chance with the same flexibility.
 _ODDS = 10.0
-# Share of the squared held-out error, less the noise, that it takes away at least.
+# Least share of the squared held-out error, minus the noise, that it must remove.
 _MATERIAL = 0.1
-# Nats by which a formula may be less probable than the curve.
+# Largest log-evidence difference [nats] between the curve and an accepted formula.
 _WORSE = 10.0
 # A place with this share of the probability of the best is as likely.
 _LIKELY = 0.05
@@ -49,12 +49,12 @@ def discover(
     diagnosis: Diagnosis | None = None,
     watch: Watch | None = None,
 ) -> Discovery:
-    """What a calibrated model lacks that no effect of the catalogue is: a free function at a place, and its formula.
+    """The missing effect of a calibrated model that is not in the catalogue: a free function at a place, and its formula.
 
-    The catalogue has its turn first.  Where it leaves more than the noise, free functions are tried at all places of the law:
-    beside the law alone, and, where that is not enough, beside what the diagnosis names.  What is found is fitted in the
-    simulation together with the law, must predict experiments better that were not used, and must gain more than the same
-    function does when driven by what another experiment went through.
+    The catalogue comes first. If its best model leaves more than the noise, free functions are tried at all places of the
+    law: with the law alone, and, if that is not enough, together with the effects that the diagnosis names. The best function
+    is fitted in the simulation together with the law. It must predict held-out experiments better, and its gain must exceed
+    that of the same function with the coordinates of another experiment.
 
     Arguments:
         calibration: the calibrated model.
@@ -79,7 +79,7 @@ def discover(
     alone = _Beside(calibration, campaign, (), {}, watch)
     if not diagnosis.effects or alone.is_enough:
         return alone.discovery()
-    # Effects that were named in the absence of the learned one are not needed beside it.
+    # Effects that were named without the learned one are not needed together with it.
     with_named = _Beside(calibration, campaign, diagnosis.effects, diagnosis.forms, watch)
     return min(alone, with_named, key=lambda one: one.best.error).discovery()
 
@@ -117,16 +117,16 @@ class _Beside:
 
     @property
     def is_enough(self) -> bool:
-        """Whether the noise explains what the best place leaves."""
+        """Whether the noise explains the residual of the best place."""
         return noise_explains(self.problem, self._search.fitted[0].fit)
 
     @cached_property
     def best(self) -> HeldOutError:
-        """What the best place predicts of what was not used; every part that is left out is fitted for it."""
+        """Predictions of held-out data with the best place; the model is fitted again for every part that is left out."""
         return self._search.held_out_error(self._search.fitted[0])
 
     def discovery(self) -> Discovery:
-        """What was found."""
+        """The result of the search."""
         search, problem = self._search, self.problem
         best, gains = search.fitted[0], np.asarray([one.log_evidence for one in search.fitted]) - search.log_evidence
         shares = np.asarray(softmax([one.log_posterior for one in search.fitted]))
@@ -153,7 +153,7 @@ class _Beside:
         return replace(shown, found=True, probability=ranking[0].probability, notes=self._notes(best, ranking))
 
     def _too_little(self, best: Fitted, gain: float) -> str:
-        """Why the evidence of a place does not do, in a sentence; empty where it does."""
+        """The reason why the evidence of a place is not sufficient, in a sentence; empty if it is."""
         predicted_gain, words = best.predicted_gain, best.place.words
         if gain < math.log(_ODDS * len(self._search.predicted_gains)):
             return f"the best place, {words}, gains only {gain:.1f} nats"
@@ -162,7 +162,7 @@ class _Beside:
         return ""
 
     def _holds_not(self, best: Fitted, now: HeldOutError) -> str:
-        """Why what a place predicts does not do, in a sentence; empty where it does."""
+        """The reason why the predictions with a place are not sufficient, in a sentence; empty if they are."""
         words, before, floor = best.place.words, self._before, self.problem.train.noise**2
         if not now.error < before.error or before.error**2 - now.error**2 < _MATERIAL * (before.error**2 - floor):
             return f"{words} reduces the error on experiments that were not used only from {before.error:.3f} to {now.error:.3f}"
@@ -174,7 +174,7 @@ class _Beside:
         return ""
 
     def _shown(self, found: Discovery, best: Fitted) -> tuple[Discovery, HeldOutError]:
-        """The function as a formula, or as the curve that it is, with its file and its errors, and what it predicts."""
+        """The function as a formula, or as a curve, with its file, its errors and its predictions."""
         place, reaches, train = best.place, best.reaches, self.problem.train
         curve = Curve(place, reaches, best.coefficients, best.covariance)
         self._watch.report("formulas")
@@ -206,12 +206,12 @@ class _Beside:
 
     @property
     def _name(self) -> str:
-        """A name for what is learned that the catalogue does not have."""
+        """A name for the learned effect that is not in the catalogue."""
         names = chain([EFFECT], (f"{EFFECT}_{number}" for number in count(2)))
         return next(name for name in names if name not in self._built.mechanics.catalogue)
 
     def _law(self) -> dict[str, float]:
-        """Parameters of the model as it is, by name, SI."""
+        """Parameters of the first model, by name, SI."""
         theta = self._search.models.theta(self._search.base.x, self._search.base.submodel)
         return {self.problem.names[k]: float(theta[k]) for k in self.problem.law}
 
@@ -231,7 +231,7 @@ class _Beside:
         return problem_of(built, self._campaign, names, watch=self._watch, known=self._known, apart=self._apart)
 
     def _motions(self) -> list[Motion]:
-        """What the model as it is goes through in the training experiments."""
+        """The states of the first model in the training experiments."""
         built, found = self._built, []
         middle = {name: float(prior.quantile(0.5)) for name, prior in built.mechanics.parameters[0].items()}
         known = {**built.mechanics.parameters[1], **middle, **self._known}

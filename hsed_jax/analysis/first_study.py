@@ -24,7 +24,7 @@ def initial_study(
 
     Arguments:
         campaign: the measurements.
-        file: where to write the study, with a comment beside each number that says where it comes from.
+        file: where to write the study, with a comment beside each number that gives its source.
         masses: of a shaken frame: masses of its floors from the lowest up [kg].
         height: height of a storey [m]: gravity acts on its drift.
         model: `opensees:` and a material, such as `opensees:Pinching4`; by default a spring law that fits the records.

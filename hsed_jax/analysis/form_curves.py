@@ -15,7 +15,8 @@ from hsed_jax.physics.parameters import Parameter
 from hsed_jax.physics.scales import Scalar, Scales
 
 _PLACES = 48
-# The values of the variables that are not swept: not zero, where no force has a shape, and within the range of the drivers.
+# Values of the variables that are not swept: within the range of the drivers, and not zero, because no force has a
+# shape there.
 _RESTING = {"elongation": 0.1, "rate": 0.5, "force": 0.5, "driver": 0.5}
 _ACROSS = {
     "driver": "its driver x, from 0 to 1",
@@ -32,11 +33,11 @@ class Curves(NamedTuple):
     """The contributions of the forms of an effect.
 
     Attributes:
-        what: the values are, in words.
-        across: what they are told apart by, in words, with its range.
+        what: meaning of the values, in words.
+        across: the variable that distinguishes them, in words, with its range.
         places: along it, over the characteristic value, (n,).
-        values: by the name of the form: the sum of what it adds and of what it multiplies by, less one; of an effect with
-            states of its own, their rates, (n,).
+        values: by the name of the form: the sum of its addends and of its factors minus one; for an effect with its own
+            states, their rates, (n,).
     """
 
     what: str
@@ -48,9 +49,9 @@ class Curves(NamedTuple):
 def curves_of(effect: type[AbstractSpringEffect]) -> Curves:
     """The contributions of the forms of a spring's effect, all characteristic values being one.
 
-    The amplitude is one half, shape parameters that a form frees are one standard deviation of their priors from the middle,
-    and of elongation, rate, force and driver that one is swept over which fewest forms are the same everywhere, and of these the
-    one over which they differ most.
+    The amplitude is one half. Shape parameters that a form frees are one standard deviation of their priors from the middle.
+    The swept variable is elongation, rate, force or driver: the one with the fewest equal forms, and of these the one with
+    the largest differences.
 
     Raises:
         ValueError: the effect has no forms.
@@ -96,8 +97,9 @@ def _contributed(
 
 
 def _away(known: Parameter) -> float:
-    """A value of a shape parameter that shows what it does: one standard deviation of its prior to the side that is further
-    from where the default form is."""
+    """A value of a shape parameter that shows its influence: one standard deviation of its prior towards the side that
+    is further from the default form.
+    """
     neutral = known.neutral
     assert neutral is not None
     if not known.prior:

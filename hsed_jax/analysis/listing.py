@@ -16,11 +16,11 @@ def effects(study: Study | None = None) -> "pd.DataFrame":
     """The physical effects that a model can be given, one row each, sorted by name.
 
     Arguments:
-        study: a study with effects of its own, which then stand in the table as well.
+        study: a study with its own effects, which are then in the table, too.
 
     Returns:
-        By name: the `family`, what the effect does (`meaning`), the names of its `parameters` and the labels of its `forms`, each
-        joined by commas, and its `reference`.
+        By name: the `family`, the action of the effect (`meaning`), the names of its `parameters` and the labels of its
+        `forms`, each joined by commas, and its `reference`.
 
     Example:
         >>> hx.effects().loc["slip", "family"]

@@ -1,11 +1,11 @@
-"""Prior prediction: whether a model can produce the measured data at all, before anything is fitted.
+"""Prior prediction: a test before the calibration whether a model can produce the measured data.
 
-The model is simulated at points all over its priors.  What lies outside everything that these simulations predict, by more than
-three standard deviations of the declared noise, no draw of the priors explains.  Its size is a normalised error, as everywhere:
-the RMS of the distance to the envelope over the RMS of the measurement about its mean, of a quantity over its magnitude.  No
-simulation within the envelope has a smaller error.
+The model is simulated at points spread over its priors. Measurements outside the envelope of these simulations, by more than
+three standard deviations of the declared noise, are not explained by any parameters of the priors.  The distance is a
+normalised error: the RMS distance to the envelope over the RMS of the measurement about its mean, or over the magnitude of a
+quantity.  No simulation within the envelope has a smaller error.
 
-An envelope says only what is impossible: a measurement within it may still be one that no single simulation has.
+An envelope shows only what is impossible: every single simulation may differ from a measurement inside it.
 
 Source: prior predictive checks, Gelman, Simpson & Betancourt (2017), doi:10.3390/e19100555.
 """
@@ -25,19 +25,19 @@ from hsed_jax.physics.pairs import Pair
 from hsed_jax.study.inference import Inference
 
 DRAWS = 64
-"""Points of the priors that are simulated."""
+"""Number of simulated points of the priors."""
 
-# Standard deviations of the noise that no data are doubted for.
+# Allowed distance from the envelope, in standard deviations of the noise.
 _NOISE = 3.0
-# An error outside the envelope that is more than noise and a formula's shortcoming.
+# Errors outside the envelope above this exceed the noise and the usual error of a formula.
 _OUTSIDE = 0.1
-# Experiments that are named of those without a doubt.
+# Number of experiments without a doubt that are named.
 _NAMED = 6
 
 
 @dataclass(frozen=True)
 class Reach:
-    """One output of one experiment beside what the priors predict.
+    """One output of one experiment, compared with the predictions of the priors.
 
     Attributes:
         experiment, output: which.
@@ -79,15 +79,15 @@ class Reach:
 
 
 def prior_reach(inference: Inference, campaign: Campaign) -> tuple[list[Reach], int]:
-    """What is measured beside the envelope of simulations all over the priors.
+    """The measurements, compared with the envelope of simulations over the priors.
 
     Arguments:
         inference: of the study.
         campaign: measured experiments; those with a result are simulated.
 
     Returns:
-        Every output of every experiment that has a measurement of it, and how many points of the priors gave a simulation
-        that converged in all experiments.
+        Every measured output of every experiment, and the number of points of the priors with converged simulations of all
+        experiments.
     """
     from scipy.stats import qmc
 
@@ -100,7 +100,7 @@ def prior_reach(inference: Inference, campaign: Campaign) -> tuple[list[Reach], 
     values, used = np.asarray(data.values)[:count], np.asarray(data.weights)[:count] > 0
     middle = posterior.constrain(jnp.asarray(points[0]))
     sigma = np.asarray(posterior.expected_sigma(middle, data.values, data))[:count]
-    # An error that is inferred tells nothing before it is.
+    # An inferred error is unknown before the calibration.
     sigma = np.where(posterior.is_declared[posterior.groups], sigma, 0.0)
     kept = ok[:, :count] > 0
     found = [
@@ -128,7 +128,7 @@ def _of_experiment(
     sigma: Float[np.ndarray, " J"],
     outputs: Float[np.ndarray, "S J"],
 ) -> list[Reach]:
-    """Every output of an experiment beside the predictions of it that converged."""
+    """Every output of an experiment, compared with its converged predictions."""
     found = []
     for number, name in enumerate(names):
         own = np.flatnonzero(groups == number)
@@ -162,7 +162,7 @@ def _of_experiment(
 
 
 def prior_sentences(inference: Inference, campaign: Campaign) -> list[str]:
-    """What the priors exclude of the measured data, a sentence each, and what they do not exclude."""
+    """Sentences on the measured data that the priors exclude, and on those that they do not exclude."""
     found, converged = prior_reach(inference, campaign)
     said = [reach.sentence(campaign.pair) for reach in found if reach.is_outside]
     for output in inference.observed.outputs:
@@ -170,7 +170,9 @@ def prior_sentences(inference: Inference, campaign: Campaign) -> list[str]:
         if inside:
             more = f" and {len(inside) - _NAMED} more" if len(inside) > _NAMED else ""
             name = campaign.pair.called(output)
-            said.append(f"{', '.join(inside[:_NAMED])}{more}: the measured {name} lies within what the priors predict")
+            said.append(
+                f"{', '.join(inside[:_NAMED])}{more}: the measured {name} is within the predictions of the priors"
+            )
     if converged < DRAWS:
         said.append(f"{DRAWS - converged} of {DRAWS} simulations at points of the priors diverged in some experiment")
     return said

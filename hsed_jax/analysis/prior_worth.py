@@ -1,4 +1,4 @@
-r"""What earlier experiments are worth for planned ones, before anything is calibrated.
+r"""The worth of earlier experiments for planned ones, before a calibration.
 
 The model is linearised in the middle of the priors, along coordinates w in which the prior is standard normal.  An experiment
 with the Jacobian J of its outputs over their noise leaves the covariance of the parameters, and a planned output with the
@@ -6,10 +6,9 @@ gradient g the variance
 
 $$C = \Big(I + \sum J^\top J\Big)^{-1},\qquad v = g^\top C\,g,$$
 
-where the prior alone gives $g^\top g$.  The planned experiments are spread over the inputs.  The worth of experiments is the
-share of the variance that they remove: of each output over all planned experiments together, then the mean over the outputs.
-
-It says nothing of an error of the model: old experiments of another specimen, or of a model that is wrong, are worth less.
+and the prior alone gives $g^\top g$.  The planned experiments are spread over the inputs.  The worth of experiments is the
+share of the variance that they remove: for each output over all planned experiments together, then the mean over the outputs.
+It does not include an error of the model: for another specimen, or for a wrong model, the true worth is smaller.
 
 Source: Bayesian linear design, Chaloner & Verdinelli (1995), doi:10.1214/ss/1177009939.
 """
@@ -39,12 +38,12 @@ _STEP = 1e-3
 
 @dataclass(frozen=True, repr=False)
 class Worth(Tabular):
-    """What experiments tell about planned ones, as shares of the variance that the priors give these.
+    """The worth of experiments for planned ones, as shares of the prior variance of the planned ones.
 
     Attributes:
         experiments: which.
         alone: removed by each without the others.
-        lost: removed by all, less what the others remove without this one.
+        lost: removed by all, minus the share that the others remove without this one.
         together: removed by all.
         by_output: the same, of each output.
     """
@@ -57,7 +56,7 @@ class Worth(Tabular):
 
     @property
     def sentence(self) -> str:
-        """What all are worth together, and which is worth most."""
+        """The worth of all experiments together, and the experiment with the largest worth."""
         count, best = len(self.experiments), int(np.argmax(self.alone))
         which = "1 earlier experiment removes" if count == 1 else f"{count} earlier experiments remove"
         most = "" if count == 1 else f"; {self.experiments[best]} alone removes {_percent(self.alone[best])}"
@@ -77,7 +76,7 @@ class Worth(Tabular):
 
 
 def worth_of(inference: Inference, campaign: Campaign) -> Worth:
-    """What the completed training experiments of a campaign are worth for those that a study plans.
+    """The worth of the completed training experiments of a campaign for the planned experiments of a study.
 
     Arguments:
         inference: of the study.

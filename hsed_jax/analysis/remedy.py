@@ -1,4 +1,4 @@
-"""The Python interface, second half: find the missing physical effect, add it, and see the error fall."""
+"""The Python interface, second half: find the missing physical effect, add it, and compare the errors."""
 
 import os
 import textwrap
@@ -35,14 +35,14 @@ _DISCRIMINATED = 512
 # Samples of a record of a component test that a diagnosis uses; an improvement is fitted to all.  With more of them, further
 # effects mend a formula that is not the specimen's (benchmarks/opensees_files.py).
 _SAMPLES = 400
-# Draws of each chain for the improved model, at most: they tell intervals and the expected error.
+# Largest number of draws of each chain for the improved model, for intervals and the expected error.
 _DRAWS = 250
-# Nats by which the first model may miss its best fit before a new search, and for another fit to be taken.
+# Distance of the first model from its best fit [nats] that starts a new search, or replaces the fit.
 _APART = 2.0
 
 
 def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: Watch | None = None) -> Diagnosis:
-    """Which physical effects of the catalogue the calibrated model lacks.
+    """The physical effects of the catalogue that the calibrated model lacks.
 
     Arguments:
         calibration: the calibrated model.
@@ -71,8 +71,8 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
 
 
 def separations(built: Built, campaign: Campaign) -> Float[Array, " m"]:
-    """Log of how far each of the first candidates is expected to tell the explanations apart: of the expected log Bayes factor
-    between rivals, beyond that of the experiments that are pending.
+    """Log of the expected log Bayes factor between rivals of each of the first candidates, in addition to that of the pending
+    experiments.
 
     Arguments:
         built: the study, with a design.
@@ -107,7 +107,7 @@ class Improvement(Tabular):
         study: with the effects in its model, ready to run or to improve again.
         original: the calibrated model that was improved.
         calibration: of the improved model.
-        before, after: the model as it was and the improved one against the same measurements.
+        before, after: the first model and the improved one, compared with the same measurements.
         trail: the error after each added effect.
     """
 
@@ -177,18 +177,19 @@ def improve(
 ) -> Improvement:
     """Add effects to a calibrated model and calibrate it again, MAP and posterior.
 
-    Every model starts where the one before it ended, too, so that its error does not rise.  Where the model as it is turns out
-    not to have been at its best fit, it is calibrated again from there first.
+    One start of every model is the estimate of the previous model, so that its error does not rise.  If this shows a better
+    fit of the first model, the first model is calibrated again from there.
 
     Arguments:
-        calibration: the model as it is.
+        calibration: the first model.
         found: a diagnosis, whose effects are added in the forms that it found; or the campaign, with the effects named.
         campaign: experiments; by default those it was calibrated on.
         effects: names of effects of the catalogue, in the order to add them; by default those of the diagnosis.
         forms: labels of their forms, where these are not the default ones: `Diagnosis.forms`.
         start: parameters of the model with them, by name, SI, to start one of the searches from: `Diagnosis.optimum`, so that
-            what was promised is delivered.
-        own_effects: Python files with effects of your own that the study does not name yet, such as what `Discovery.write` left.
+            the improvement reaches the fit of the diagnosis.
+        own_effects: Python files with your effects that the study does not name yet, such as the file that `Discovery.write`
+            writes.
         watch: follows the fits and the calibration.
 
     Raises:
@@ -227,7 +228,7 @@ def improve(
     models = problem.models
     law = models.submodel(problem.law)
     predicted = models.predict([(problem.start, law)], np.arange(len(train.values)))[0][0]
-    # As the calibration fits it, by what that leaves.
+    # With the weights of the calibration, from its residual.
     target = train.standard(predicted, train.used[None]).target
     plain = _best(problem, target, law, [], problem.start)
     notes = []
@@ -241,7 +242,7 @@ def improve(
         if again.fit.maximum.log_posterior - around.log_posterior > _APART:
             calibration, before = again, compare(again)
             notes.append(
-                "the calibration of the model as it was had not reached the best fit, so it was repeated from there"
+                "the calibration of the first model had not reached the best fit, so it was repeated from there"
             )
     steps, fit = [step_of([], before, calibration.map)], plain
     for count in range(1, len(effects) + 1):
@@ -252,13 +253,13 @@ def improve(
         fit = _best(problem, target, submodel, added[-1].columns, fit.x, start if whole else None)
         steps.append(_between(problem, fit, effects[:count]))
     built = Built(study, calibration.built.campaign)
-    # What is told of an improvement is its error.  Chains of a model with so many parameters take minutes: the study that is
+    # An improvement reports its error.  Chains of a model with so many parameters take minutes: the study that is
     # written has them when it is run.
     settings = built.inference.settings
     if settings.sampler == "auto":
         settings = settings._replace(sampler="importance", draws=min(settings.draws, _DRAWS))
     start_at = _parameters(problem, fit, built)
-    # Other modes were looked for by the search, and by the fit of each step.
+    # The search, and the fit of each step, have already searched for other modes.
     better = calibrate_built(built, campaign, start=start_at, starts=1, watch=watch, settings=settings)
     after = compare(better)
     steps[-1] = step_of(effects, after, better.map)
@@ -281,8 +282,9 @@ def _best(
     x: np.ndarray,
     known: Mapping[str, float] | None = None,
 ) -> FitState:
-    """The best fit of a model with new parameters: from where the one without them is, from there with these spread over their
-    priors, and from parameters that are known."""
+    """The best fit of a model with new parameters. It starts from the fit of the model without them, from there with
+    the new parameters spread over their priors, and from known parameters.
+    """
     models, columns = problem.models, np.asarray(new, dtype=int)
     tasks = [Task(submodel, x)]
     if known is not None:
@@ -304,7 +306,7 @@ def _parameters(problem: Problem, fit: FitState, built: Built) -> Array:
 
 
 def _between(problem: Problem, fit: FitState, effects: Sequence[str]) -> Step:
-    """A step of the trail between the model as it was and the improved one."""
+    """A step of the trail between the first model and the improved one."""
     theta = problem.models.theta(fit.x, fit.submodel)
     rows = np.arange(problem.rows)
     outputs, _ = problem.models.batch(np.repeat(theta[None], len(rows), axis=0), rows)

@@ -1,4 +1,4 @@
-"""Global sensitivity: which inputs and parameters the quantities of a study vary with (Sobol' indices)."""
+"""Global sensitivity: the influence of inputs and parameters on the quantities of a study (Sobol' indices)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ class Sensitivity(Tabular):
     Attributes:
         indices: `first_order` and `total_order`, each with its 90 % bootstrap interval (`first_order_low`,
             `first_order_high`, `total_order_low`, `total_order_high`), all (quantity, variable).
-        simulations: how many it took.
+        simulations: their number.
     """
 
     indices: xr.Dataset
@@ -82,20 +82,20 @@ def sensitivity(study: Study, samples: int = 1024) -> Sensitivity:
     """Sobol' indices of a study's quantities over its inputs and its model's free parameters.
 
     The variables follow their distributions in the study (inputs, priors of parameters), independently of each other. The
-    first-order index is the share of a quantity's variance that a variable explains by itself, the total-order index the share
-    that would be left if everything else were known (Saltelli et al. 2010, by `scipy.stats.sobol_indices`).
+    first-order index is the share of a quantity's variance that a variable explains alone. The total-order index is the
+    remaining share if all other variables are known (Saltelli et al. 2010, by `scipy.stats.sobol_indices`).
 
     Arguments:
-        study: with a ground motion; to hold a variable fixed, give it a number in place of its distribution.
+        study: with a ground motion; to hold a variable fixed, give it a number instead of its distribution.
         samples: N, a power of two; N (d + 2) simulations are made for d variables.
 
     Raises:
-        UserError: nothing varies, the ground motion is missing, N is no power of two or more than memory holds, or a
+        UserError: nothing varies, the ground motion is missing, N is not a power of two or more than memory holds, or a
             simulation diverges.
     """
     built = Built(study)
     if built.experiments.excitation is None:
-        raise UserError("excitation: Sobol' indices need what drives the experiments, such as near_fault_pulse")
+        raise UserError("excitation: Sobol' indices need an excitation of the experiments, such as near_fault_pulse")
     inputs, parameters = built.experiments.space.priors, built.mechanics.parameters[0]
     # An input and a parameter may have one name: gamma of the pulse and of the law.
     names = {name: f"{name} (law)" if name in inputs else name for name in parameters}
@@ -126,19 +126,19 @@ def indices_of(
     Arguments:
         function: from N points of the d variables, (d, N), to the s quantities, (s, N).
         variables: distribution by name.
-        quantities: names of what the function gives.
+        quantities: names of the outputs of the function.
         samples: N, a power of two.
         seed: of the points and of the bootstrap.
 
     Raises:
-        UserError: there are no variables, N is no power of two, or more than memory holds.
+        UserError: there are no variables, N is not a power of two, or more than memory holds.
     """
     if not variables:
         raise UserError("nothing varies: the study has neither inputs nor free parameters")
     if samples < 2 or samples.bit_count() != 1:
         raise UserError(f"samples: this must be a power of two, such as 1024, but it is {samples}")
     random, d = np.random.default_rng(seed), len(variables)
-    # The points three times (both samples, mixed, as values of the variables), what is simulated, and the bootstrap.
+    # The points three times (both samples, mixed, as values of the variables), the simulations, and the bootstrap.
     numbers = 3 * d * (d + 2) + len(quantities) * (d + 2) + _RESAMPLES
     check_memory(f"samples: {samples}", 8 * samples * numbers)
     cube = qmc.Sobol(2 * d, rng=random).random(samples).T

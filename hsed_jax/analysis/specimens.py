@@ -26,9 +26,9 @@ def over_specimens(
     campaign: Campaign,
     report: Callable[[str], None],
 ) -> Diagnosis:
-    """The diagnosis with what its effects are to the specimens of each level; as it is where there are no levels.
+    """The diagnosis with the meaning of its effects for the specimens of each level; unchanged without levels.
 
-    Where no effect helps all of them, those few are searched by themselves whose measurements the noise does not explain.
+    If no effect helps all specimens, the few specimens whose measurements the noise does not explain are searched alone.
 
     Arguments:
         found: the diagnosis.
@@ -36,7 +36,7 @@ def over_specimens(
         problem_of_some: the same of some of the experiments.
         built: the study.
         campaign: the experiments.
-        report: called with what is being done.
+        report: called with the current activity.
     """
     if not built.inference.levels:
         return found
@@ -68,7 +68,7 @@ def memberships_of(built: Built, campaign: Campaign) -> list[Membership]:
 
 
 def _odd(problem: Problem, membership: Membership) -> list[str]:
-    """The members that the noise does not explain, each at its own best fit, where they are few."""
+    """The members that the noise does not explain, each at its own best fit, if they are few."""
     assert problem.start is not None
     train, models = problem.train, problem.models
     # The common parameters, too: one odd member has moved them for all.

@@ -18,7 +18,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.plain import parse_yaml
 
 _LOOK = 0.3
-# How `hsed ask` ends what it says of an experiment.
+# How `hsed ask` ends what it prints about an experiment.
 _THEN = re.compile(r"then: hsed tell \S+ '?([^']+)'?$")
 _NO_DESIGN = (
     "There is no design among the steps of this study, which are {}. A design needs inputs with their ranges, an excitation that "
@@ -31,7 +31,9 @@ _DESIGN = (
 
 
 class _Askable(NamedTuple):
-    """What can be asked, a study or a run by its name; why the run cannot; what its diagnosis would like."""
+    """Studies and runs with a possible next experiment, by name; the reason if a run has none; the proposal of its
+    diagnosis.
+    """
 
     designs: list[str]
     why_not: str
@@ -39,7 +41,7 @@ class _Askable(NamedTuple):
 
 
 class Asking:
-    """Ask for the next experiment where a study has a design, and take its record."""
+    """Request the next experiment of a study with a design, and read its record."""
 
     def __init__(self, session: Session):
         self._session = session
@@ -138,7 +140,7 @@ class Asking:
             self._messages.object = f"<pre>{escape(chr(10).join(job.said))}</pre>"
 
     async def _done(self, run: str, arguments: Sequence[str]) -> Job | None:
-        """A command in a run, when it has ended well; else None, and what was wrong is shown."""
+        """A completed command in a run; None with a shown message if it failed."""
         jobs = self._session.jobs
         if (job := jobs.of(run)) is not None and job.status is None:
             self._messages.object = note("Another command uses this run; wait until it ends.")
@@ -155,7 +157,7 @@ class Asking:
 
 
 def _steps(path: Path) -> list[str]:
-    """The steps of a study; none where the file is no study."""
+    """The steps of a study; empty if the file is not a study."""
     try:
         study = parse_yaml(path.read_text(encoding="utf-8"), path.name)
         return [str(step) for step in study["steps"]] if {"study", "experiments"} <= study.keys() else []

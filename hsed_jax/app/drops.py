@@ -1,4 +1,4 @@
-"""The storage of dropped files: a folder within the folder of the page, with the files as they came."""
+"""The storage of dropped files: a folder within the folder of the page, with the unchanged files."""
 
 import os
 import shutil
@@ -16,7 +16,7 @@ from hsed_jax.measurements.tables import read_experiment_table
 from hsed_jax.plain import stem_of
 
 DROPPED = "dropped"
-"""Where the files lie as they came."""
+"""The folder of the unchanged files."""
 _CAMPAIGN = ("campaign.yaml", "experiments.csv")
 
 
@@ -26,13 +26,13 @@ def landed(folder: Folder, files: Mapping[str, bytes], where: Path | None = None
     Arguments:
         folder: of the page.
         files: content by name.
-        where: the folder that earlier ones of the same drop went to; by default a new one.
+        where: the folder of earlier files of the same drop; by default a new one.
 
     Returns:
-        The folder that they went to.
+        The folder of the files.
 
     Raises:
-        UserError: a name is none, or the disk does not take them.
+        UserError: a name is not allowed, or the files cannot be written.
     """
     names = [checked_name(name) for name in files]
     if where is None:
@@ -49,7 +49,7 @@ def landed(folder: Folder, files: Mapping[str, bytes], where: Path | None = None
 
 
 def taken_back(folder: Folder, where: Path, names: Iterable[str]) -> None:
-    """Remove files that were dropped and cannot be used, and the folder that was made for them if nothing else is in it."""
+    """Remove unusable dropped files, and the folder that was made for them if it is empty."""
     for name in names:
         folder.inside(where, DROPPED, name).unlink(missing_ok=True)
     with suppress(OSError):  # something else is in it
@@ -58,10 +58,10 @@ def taken_back(folder: Folder, where: Path, names: Iterable[str]) -> None:
 
 
 def is_campaign(names: Collection[str]) -> bool:
-    """Whether files that were dropped are a campaign, which says itself what it is.
+    """Whether dropped files are a campaign, with its own declaration.
 
     Raises:
-        UserError: they are a part of one; the message says what is missing.
+        UserError: they are an incomplete campaign; the message has the missing files.
     """
     missing = [name for name in _CAMPAIGN if name not in names]
     if len(missing) == 1:
@@ -70,10 +70,10 @@ def is_campaign(names: Collection[str]) -> bool:
 
 
 def lay_out(folder: Folder, where: Path) -> Campaign:
-    """Put the files of a dropped campaign where its table of experiments says that they are, and read it.
+    """Put the files of a dropped campaign at the paths in its table of experiments, and read it.
 
     Raises:
-        UserError: it cannot be read, is not complete, or names a place outside the campaign; nothing was put anywhere.
+        UserError: it cannot be read, is not complete, or names a place outside the campaign; no file was moved.
     """
     # An incomplete campaign leaves nothing behind, because its next file may follow.
     with TemporaryDirectory(prefix="campaign-") as name, _as_dropped(Path(name), where.name):
@@ -103,10 +103,10 @@ def _put(where: Path, target: Path) -> None:
 
 
 def read_within(folder: Folder, name: str) -> tuple[Path, Campaign]:
-    """A campaign that lies in the folder, and where.
+    """A campaign in the folder, and its path.
 
     Raises:
-        UserError: it is damaged, or one of its records lies outside the folder.
+        UserError: it is damaged, or one of its records is outside the folder.
     """
     where = folder.inside(name)
     table = read_experiment_table(folder.inside(where, "experiments.csv"))
@@ -131,7 +131,7 @@ def tables(where: Path) -> Gathered:
 
 @contextmanager
 def _as_dropped(place: Path, name: str = "") -> Iterator[None]:
-    """Within, a message names a file or folder as it was dropped, not where it lies."""
+    """A context in which messages have the name of a dropped file or folder instead of its path."""
     try:
         yield
     except UserError as error:
@@ -139,5 +139,5 @@ def _as_dropped(place: Path, name: str = "") -> Iterator[None]:
 
 
 def _named(said: str, place: Path, name: str = "") -> str:
-    """What is said, with the name of a folder in place of its path, or without it."""
+    """A message with the name of a folder instead of its path, or without it."""
     return said.replace(str(place), name) if name else said.replace(f"{place}{os.sep}", "")

@@ -1,4 +1,4 @@
-"""The interactive part of the page: effects with a tick, their parameters with sliders, the loop as it changes."""
+"""The interactive part of the page: effects with check boxes, their parameters with sliders, the changing loop."""
 
 from html import escape
 from typing import Any, NamedTuple
@@ -27,7 +27,7 @@ class _Asked(NamedTuple):
 
 
 class Effects:
-    """Add effects, take them away, turn their parameters."""
+    """Add and remove effects, and change their parameters."""
 
     def __init__(self, session: Session, fitting: Fitting):
         self._session, self._fitting = session, fitting
@@ -53,7 +53,7 @@ class Effects:
         right = pn.Column(self._loops.pane, self._error, self._sliders, self._fit, sizing_mode="stretch_width")
         self._whole = pn.Row(left, right, sizing_mode="stretch_width", visible=False)
         self.view = pn.Column(
-            html("<h2>What would an effect do?</h2>"
+            html("<h2>Influence of an effect</h2>"
                  + note("Tick an effect: it joins the model, and the loop follows its sliders. Nothing is fitted here.")),
             self._messages,
             self._whole,
@@ -62,7 +62,7 @@ class Effects:
         session.param.watch(self._open, ["run", "shown", "ended"])
 
     async def _open(self, *events: Any) -> None:
-        """Read what the run found, when this part is first looked at: it takes a few seconds."""
+        """Read the results of the run when this part is first shown: it takes a few seconds."""
         run = self._session.run
         if any(event.name == "ended" for event in events):
             self._opened = ""
@@ -89,7 +89,7 @@ class Effects:
         await self._started()
 
     async def _started(self, *_: Any) -> None:
-        """Effects and parameters as a model of the run has them."""
+        """Effects and parameters of a model of the run."""
         if self._explorer is None or self._is_filling:
             return
         start = self._explorer.starts[self._start.value]
@@ -138,7 +138,7 @@ class Effects:
         return pn.Column(slider, html(f'<p class="note">{escape(dial.meaning)}</p>'), width=340)
 
     async def _changed(self, *_: Any) -> None:
-        """Simulate what was asked last; what was asked meanwhile, only once."""
+        """Simulate the last request; requests in the meantime are simulated only once."""
         if self._explorer is None or self._dials is None or self._is_filling:
             return
         self._asked = _Asked(
@@ -187,6 +187,6 @@ class Effects:
 
 
 def _order(explorer: Explorer) -> Any:
-    """Effects of the models that were found first, then by family and name."""
+    """Effects of the found models first, then by family and name."""
     found = {name for start in explorer.starts.values() for name in start.effects}
     return lambda name: (name not in found, explorer.catalogue[name].family, name)

@@ -23,12 +23,12 @@ from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.study.build import Built
 
-# Quantiles of a prior that a slider goes between.
+# Quantiles of a prior at the ends of a slider.
 _ENDS = (0.02, 0.98)
 
 
 class Dial(NamedTuple):
-    """A parameter with a slider: its name, unit, what it means, the ends of the slider, where it stands."""
+    """A parameter with a slider: its name, unit, meaning, the ends of the slider, and its position."""
 
     name: str
     unit: str
@@ -57,7 +57,7 @@ class Loop(NamedTuple):
 
 @dataclass(frozen=True)
 class Variant:
-    """The model with some effects, compiled when it is first asked."""
+    """The model with some effects, compiled at its first use."""
 
     built: Built
     campaign: Campaign
@@ -76,7 +76,7 @@ class Variant:
         return found
 
     def simulate(self, parameters: Mapping[str, float], experiment: Experiment) -> Loop:
-        """The response to what an experiment was driven by.
+        """The response to the excitation of an experiment.
 
         Arguments:
             parameters: all free ones by name, SI.
@@ -113,7 +113,7 @@ class Variant:
         return float(np.sqrt(np.mean(shares))) if shares else float("nan")
 
     def _known(self, name: str) -> tuple[str, float | None]:
-        """What a parameter means, and where it changes nothing; of a law that is no place for a slider."""
+        """The meaning of a parameter, and its neutral value; a law has no neutral value for a slider."""
         owner, own = owner_of(name), own_name(name)
         if owner in self.built.mechanics.catalogue:
             effect = parameters_of(self.built.mechanics.catalogue[owner])
@@ -139,11 +139,11 @@ class Explorer:
         run: the run folder.
 
     Attributes:
-        starts: models to start from, by what the page calls them.
+        starts: models to start from, by their names on the page.
         experiments: those with a loop, by id.
 
     Raises:
-        UserError: the run has come to nothing yet, its study names code, or there is no loop to see.
+        UserError: the run has no results yet, its study names code, or no experiment has a loop.
     """
 
     def __init__(self, run: Path):
@@ -180,7 +180,7 @@ class Explorer:
 
     @property
     def pair(self) -> Pair:
-        """What elongation and force are."""
+        """The pair of elongation and force."""
         return self._campaign.pair
 
     @property
@@ -196,7 +196,7 @@ class Explorer:
         """The model with these effects and no others.
 
         Raises:
-            UserError: it cannot have one of them.
+            UserError: the model cannot have one of them.
         """
         key = tuple(name for name in self.effects if name in effects)
         if key not in self._variants:

@@ -66,7 +66,7 @@ class Fitting:
         self._describe("")
 
     async def follow(self, run: str, arguments: Sequence[str]) -> None:
-        """Start a command that makes a run, and show how it goes on."""
+        """Start a command that makes a run, and show its progress."""
         if (job := self._session.jobs.of(run)) is not None and job.status is None:
             return
         self._session.jobs.start(run, arguments)
@@ -74,7 +74,7 @@ class Fitting:
         await self._attach()
 
     def leave(self) -> None:
-        """Follow nothing any more: the tab is closed, what runs goes on."""
+        """Stop following: the tab is closed, and the command continues."""
         self._followed = None
 
     def _describe(self, text: str) -> None:
@@ -109,7 +109,7 @@ class Fitting:
             await self.follow(run, ["run", study, "--output", run, *options])
 
     def _prepared(self) -> tuple[str, str]:
-        """The study, written where no other one stands, and a run folder for it."""
+        """The study, written to a new file, and a run folder for it."""
         folder = self._session.folder
         where = folder.inside(self._session.campaign)
         text, study, number = self._text(where), folder.inside(where, "study.yaml"), 1
@@ -132,7 +132,7 @@ class Fitting:
         await self.follow(run, ["run", f"{run}/study.yaml", "--output", run, "--resume"])
 
     async def _attach(self, *_: Any) -> None:
-        """Follow what works in the run that is looked at."""
+        """Follow the command in the chosen run."""
         job = self._session.jobs.of(self._session.run)
         self._resume.visible = False
         if job is None or job.arguments[0] != "run":
@@ -144,7 +144,7 @@ class Fitting:
             self._task = asyncio.create_task(self._watch(job))
 
     def _offer_resume(self) -> None:
-        """A run that stopped part-way can be gone on with, also one of an earlier day."""
+        """An incomplete run can be continued, also one of an earlier day."""
         run = self._session.run
         folder = self._session.folder.inside(run) if run else None
         if folder is not None and (folder / "study.yaml").is_file() and not (folder / "report.html").is_file():
@@ -170,7 +170,7 @@ class Fitting:
 
 
 def _progress(job: Job, run: str) -> str:
-    """What a command has said, and how far it is with what it does now."""
+    """The output of a command, and the progress of its current activity."""
     said = f"<pre>{escape(chr(10).join(job.said))}</pre>" if job.said else ""
     if job.status is not None:
         how = "done" if job.status == 0 else "stopped" if job.was_stopped else "ended"

@@ -7,10 +7,10 @@ from pathlib import Path
 from hsed_jax.errors import UserError
 from hsed_jax.plain import name_fault, shown
 
-# A campaign or a run lies at most so deep in the folder to be offered.
+# Largest depth of an offered campaign or run in the folder.
 _DEPTH = 3
 OFFERED = ("report.html", "study.yaml", "improved.yaml", "summary.json", "results.nc", "learned_effect.py")
-"""Files of a run that the page hands out."""
+"""Files of a run that the page provides."""
 
 
 class Folder:
@@ -29,7 +29,7 @@ class Folder:
             raise UserError(f"{root}: no such folder")
 
     def inside(self, *parts: str | Path) -> Path:
-        """The path of something within the folder, symbolic links resolved.
+        """A path within the folder, with resolved symbolic links.
 
         Raises:
             UserError: it lies elsewhere.
@@ -37,7 +37,7 @@ class Folder:
         said = "/".join(map(str, parts))
         try:
             path = self.root.joinpath(*parts).resolve()
-        except (OSError, RuntimeError, ValueError):  # a name that cannot be one, or links in a circle
+        except (OSError, RuntimeError, ValueError):  # an impossible name, or links in a circle
             path = None
         if path is None or not path.is_relative_to(self.root):
             raise UserError(f"{shown(said)} is not within {self.root}; the page reads and writes nothing outside it")
@@ -48,7 +48,7 @@ class Folder:
         return str(path.relative_to(self.root))
 
     def fresh(self, *parts: str) -> Path:
-        """A path within the folder that is not taken: the last part, or with a number behind it.
+        """An unused path within the folder: the last part, with a number behind it if necessary.
 
         Raises:
             UserError: it lies elsewhere.
@@ -74,10 +74,10 @@ class Folder:
         return [path / name for path, name in found if name.endswith(".yaml") and name != "campaign.yaml"]
 
     def handed_out(self, run: str, name: str) -> Path:
-        """A file of a run that the page hands out.
+        """A file of a run that the page provides.
 
         Raises:
-            UserError: it is no such file, or not within the folder.
+            UserError: there is no such file, or not within the folder.
         """
         folder = self.inside(run)
         if name not in OFFERED or not (folder / "study.yaml").is_file():
@@ -88,7 +88,7 @@ class Folder:
         return path
 
     def _walk(self) -> Iterator[tuple[Path, set[str]]]:
-        """Folders and their files, neither links nor what is hidden, nor what lies within a run."""
+        """Folders and their files, without links, hidden files and the content of runs."""
         for where, folders, files in os.walk(self.root):
             path = Path(where)
             is_deep = len(path.relative_to(self.root).parts) >= _DEPTH

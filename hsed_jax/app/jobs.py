@@ -1,4 +1,4 @@
-"""Commands of `hsed` in processes of their own, followed and stopped from the page."""
+"""Commands of `hsed` in separate processes, followed and stopped from the page."""
 
 import fcntl
 import os
@@ -21,7 +21,7 @@ _CODE = "import sys; from hsed_jax.command_line import main; sys.exit(main())"
 
 
 class Job:
-    """One command; it goes on whether or not a page looks at it.
+    """One command; it continues without a page.
 
     Arguments:
         arguments: of `hsed`.
@@ -29,8 +29,8 @@ class Job:
 
     Attributes:
         said: the lines on its standard output.
-        doing: what it does now, as its progress says.
-        share: of that, in percent; None where nobody knows.
+        doing: its current activity, from its progress.
+        share: completed share in percent; None if unknown.
     """
 
     def __init__(self, arguments: Sequence[str], folder: Path):
@@ -42,7 +42,7 @@ class Job:
         self._complaints: list[str] = []
         ours, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, _TERMINAL)
-        # A terminal for its progress, which is then told several times a second.
+        # A terminal for its progress, which is then written several times a second.
         self._process = subprocess.Popen(
             [sys.executable, "-c", _CODE, *arguments],
             cwd=folder,
@@ -64,18 +64,18 @@ class Job:
 
     @property
     def status(self) -> int | None:
-        """The exit status; None while it runs, or while something it said is still to be read."""
+        """The exit status; None while it runs, or while its output is not read completely."""
         if any(reader.is_alive() for reader in self._readers):
             return None
         return self._process.wait()
 
     @property
     def complaint(self) -> str:
-        """What it said on its standard error besides its progress."""
+        """Its standard error without the progress."""
         return "\n".join(self._complaints)
 
     def stop(self) -> None:
-        """Let it stop in order; within two seconds it does."""
+        """Stop it regularly; this takes at most two seconds."""
         if self._process.poll() is None:
             self.was_stopped = True
             self._process.send_signal(signal.SIGTERM)
@@ -99,7 +99,7 @@ class Job:
             while True:
                 try:
                     read = file.read(4096)
-                except OSError:  # what Linux says where the other end is closed
+                except OSError:  # the error of Linux if the other end is closed
                     return
                 if not read:
                     return

@@ -23,7 +23,7 @@ from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
 GRAVITY = 9.80665
 """[m/s²]"""
 KINDS = {"cycles imposed on the specimen": "displacement", "shaken by the ground": "ground_motion"}
-"""Kinds of test as the page says them."""
+"""Kinds of test, in the words of the page."""
 UNITS = {
     "time": ["s", "ms", "min", "hour"],
     "ground_acceleration": ["g", "m/s^2", "cm/s^2", "mm/s^2"],
@@ -31,13 +31,13 @@ UNITS = {
     "force": ["kN", "N", "MN", "daN", "kgf", "kip", "lbf", "kN*m", "N*m", "kN*mm", "kip*inch", "kip*ft", "MPa", "kPa", "Pa",
               "GPa", "ksi", "psi"],
 }  # fmt: skip
-"""Units that are offered; those of elongation and force also say whether these are rotation and moment, strain and stress."""
+"""Offered units; those of elongation and force also determine the pair, such as rotation and moment or strain and stress."""
 _NONE, _NO_UNIT = "(none)", "(unit?)"
 _TITLES = {"time": "time", "ground_acceleration": "ground acceleration", "elongation": "elongation", "force": "force"}
 
 
 class Measured:
-    """Drop or choose measurements, say what the columns are, and go on."""
+    """Drop or choose measurements, and assign the columns."""
 
     def __init__(self, session: Session):
         self._session = session
@@ -89,7 +89,7 @@ class Measured:
         )
 
     def _fill_choices(self) -> None:
-        """The widgets that say what the columns are."""
+        """The widgets for the meaning of the columns."""
         self._kind = widget(pn.widgets.Select, name="kind of test", options=KINDS, width=400)
         self._columns: dict[str, Any] = {}
         self._units: dict[str, Any] = {}
@@ -141,7 +141,7 @@ class Measured:
         self._landing[:] = [self._dropper]
 
     async def _dropped(self, event: Any) -> None:
-        """Look at all that has come so far: files that are dropped together come one after the other."""
+        """Process all dropped files so far: files that are dropped together arrive one after the other."""
         async with self._looking:
             if event.obj is not self._dropper:
                 return
@@ -163,13 +163,13 @@ class Measured:
                 self._campaign, self._below.visible = None, False
 
     def _land(self, given: dict[str, bytes]) -> tuple[Gathered, Campaign | None]:
-        """Put what was dropped into the folder and read it.
+        """Put the dropped files into the folder and read them.
 
         Raises:
-            UserError: it cannot be read, or is a part of a campaign; with the next file it is looked at again.
+            UserError: it cannot be read, or is an incomplete campaign, which is read again with the next file.
         """
         folder, declares = self._session.folder, is_campaign(given)
-        # A record of a campaign need not be one that can be read by itself; of other files, one that cannot be is left out.
+        # A record of a campaign need not be readable alone; other unreadable files are left out.
         used = given if declares else {n: c for n, c in given.items() if self._refused.get(n, ("",))[0] != c}
         if not used:
             raise UserError(self._refused[next(iter(given))][1])
@@ -200,7 +200,7 @@ class Measured:
             self._show(Gathered({}, [], []), campaign)
 
     def _show(self, found: Gathered, declared: Campaign | None) -> None:
-        """Show what has come: a campaign says itself what it is, of tables a first guess is made."""
+        """Show the dropped files: a campaign has its declaration, and tables get a first guess."""
         self._found, self._is_declared = found, declared is not None
         self._below.visible, self._form.visible = True, declared is None
         self._done = []
@@ -253,7 +253,7 @@ class Measured:
             self._facts.object = error(str(mistake)) + warnings(self._found.left_out)
 
     def _look_at(self, campaign: Campaign) -> None:
-        """Draw the loops and say what is doubtful, with the checks of every command."""
+        """Draw the loops and show the doubts, with the checks of every command."""
         pair = campaign.pair
         shown = [
             (
@@ -295,7 +295,7 @@ class Measured:
 
 
 def _cycles(campaign: Campaign) -> str:
-    """What is read from the cycles of a component test, folded away."""
+    """The quantities of the cycles of a component test, in a closed fold."""
     if campaign.protocol != "displacement":
         return ""
     read = [columns._repr_html_() for columns in (cycle_table(campaign), backbone_table(campaign)) if columns.rows]
@@ -303,10 +303,10 @@ def _cycles(campaign: Campaign) -> str:
 
 
 def _numbers(text: str) -> tuple[float, ...] | None:
-    """Numbers that mark missing samples; None where nothing was said of them.
+    """Numbers that mark missing samples; None without a statement.
 
     Raises:
-        UserError: a word is no number.
+        UserError: a word is not a number.
     """
     words = text.replace(",", " ").split()
     try:

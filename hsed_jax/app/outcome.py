@@ -20,12 +20,12 @@ _WHAT = {
 
 
 def address(run: str, name: str) -> str:
-    """Where the page, which ends in a slash, finds a file of a run."""
+    """The address of a file of a run, relative to the page, which ends in a slash."""
     return f"files/{quote(run)}/{name}"
 
 
 class _OfRun:
-    """A part of the page about the run that is chosen; it is drawn again when that changes or ends."""
+    """A part of the page about the chosen run; it is drawn again when the run changes or ends."""
 
     def __init__(self, session: Session):
         self._session = session
@@ -38,7 +38,7 @@ class _OfRun:
 
     @abstractmethod
     def _shown(self, run: str) -> str:
-        """What is said of a run."""
+        """The text on a run."""
 
 
 class Report(_OfRun):
@@ -47,7 +47,7 @@ class Report(_OfRun):
     def _shown(self, run: str) -> str:
         if not (self._session.folder.inside(run) / "report.html").is_file():
             return note("The run has no report yet; it is written at its end.")
-        # What has changed has another address, so that a page that is kept is not shown for it.
+        # A changed file has a new address, so that the browser does not show a cached page.
         where = f"{address(run, 'report.html')}?{self._session.ended}"
         about = f'title="report of {escape(run)}" sandbox="allow-scripts allow-downloads"'
         return f'<iframe {about} src="{where}"></iframe>'

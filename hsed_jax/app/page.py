@@ -53,7 +53,7 @@ class Page:
         )
 
     def _list(self, *_: Any) -> None:
-        """The runs of the folder, and the one that is looked at."""
+        """The runs of the folder, and the chosen one."""
         run, known = self._session.run, self._session.folder.runs()
         # One that has just been started has no folder yet.
         self._runs.options = {"(none)": ""} | {name: name for name in dict.fromkeys([*([run] if run else []), *known])}

@@ -37,12 +37,12 @@ def html(text: str = "", **settings: Any) -> pn.pane.HTML:
 
 
 def error(message: str) -> str:
-    """A message that says what is wrong."""
+    """An error message."""
     return f'<div class="error" role="alert">{escape(message)}</div>'
 
 
 def warnings(lines: Iterable[str]) -> str:
-    """Doubts, listed; nothing where there are none."""
+    """A list of doubts; nothing without doubts."""
     said = "".join(f"<li>{escape(line)}</li>" for line in lines)
     return f'<div class="warnings" role="status"><ul>{said}</ul></div>' if said else ""
 
@@ -62,7 +62,7 @@ def widget(kind: Callable[..., Any], **settings: Any) -> Any:
 
 @contextmanager
 def told(messages: pn.pane.HTML) -> Iterator[None]:
-    """Within, a mistake of the user is shown and not raised, and so is a defect of ours."""
+    """A context in which a mistake of the user, or a defect of the package, is shown instead of raised."""
     try:
         yield
     except UserError as mistake:
@@ -70,15 +70,15 @@ def told(messages: pn.pane.HTML) -> Iterator[None]:
     except Exception as defect:
         _LOG.exception("a defect of the page")
         messages.object = error(
-            f"a defect of the page: {type(defect).__name__}: {defect}; what was done is in the folder"
+            f"a defect of the page: {type(defect).__name__}: {defect}; the completed work is in the folder"
         )
 
 
 async def attempt(messages: pn.pane.HTML, work: Callable[..., Any], *arguments: Any) -> Any:
-    """Do something that takes a while on a thread, with `told`.
+    """Perform a long operation on a thread, with `told`.
 
     Returns:
-        What it returns; None where it failed.
+        Its result; None if it failed.
     """
     with told(messages):
         found = await asyncio.to_thread(work, *arguments)
@@ -88,7 +88,7 @@ async def attempt(messages: pn.pane.HTML, work: Callable[..., Any], *arguments: 
 
 
 class Loops:
-    """The loops of experiments, and over one of them what a model makes of it."""
+    """The loops of experiments, and the prediction of a model over one of them."""
 
     def __init__(self, *, has_model: bool, height: int = 400):
         self._measured, self._predicted = ColumnDataSource({"x": [], "y": []}), ColumnDataSource({"x": [], "y": []})
@@ -97,7 +97,7 @@ class Loops:
         )
         plot.toolbar.logo = None
         plot.line("x", "y", source=self._predicted, color=BLUE, line_width=2.2, legend_label="model")
-        # As in the figures of a report, a measurement lies dashed on the line of a model.
+        # As in the figures of a report, a measurement is a dashed line above the line of a model.
         looks: dict[str, Any] = {"line_dash": [5, 2]} if has_model else {}
         plot.multi_line("x", "y", source=self._measured, color=BLACK, line_width=1.2, legend_label="measured", **looks)
         plot.legend.visible = has_model
@@ -112,7 +112,7 @@ class Loops:
         self.pane = pn.pane.Bokeh(plot, sizing_mode="stretch_width", height=height)
 
     def show(self, is_shown: bool) -> None:
-        """Show the figure, or leave its place to what stands below."""
+        """Show or hide the figure."""
 
         def change() -> None:
             self.pane.visible = is_shown
@@ -120,7 +120,7 @@ class Loops:
         self._with_lock(change)
 
     def measured(self, loops: Iterable[tuple[np.ndarray, np.ndarray]], x: str, y: str) -> None:
-        """Draw what was measured, x and y of each record, and label the axes."""
+        """Draw the measurements, x and y of each record, and label the axes."""
         drawn = [(_thinned(x), _thinned(y)) for x, y in loops]
 
         def change() -> None:
@@ -130,7 +130,7 @@ class Loops:
         self._with_lock(change)
 
     def predicted(self, x: np.ndarray, y: np.ndarray) -> None:
-        """Draw what a model predicts."""
+        """Draw the prediction of a model."""
 
         def change() -> None:
             self._predicted.data = {"x": _thinned(x), "y": _thinned(y)}
@@ -138,7 +138,7 @@ class Loops:
         self._with_lock(change)
 
     def _with_lock(self, change: Callable[[], None]) -> None:
-        """Change the figure as bokeh wants it: where a tab shows it already, when nothing else changes that tab."""
+        """Change the figure as bokeh requires: if a tab already shows it, at a time when nothing else changes that tab."""
         document = self._plot.document
         if document is None:
             change()

@@ -1,6 +1,6 @@
 """The server of the page: on this machine alone, behind a token, for as many tabs as there are.
 
-All it answers to lies below the token: pages, scripts, the connection of a tab, files of runs.  Anything else is not found.
+All addresses are below the token: pages, scripts, the connection of a tab, files of runs. Other addresses are not found.
 """
 
 import asyncio
@@ -21,7 +21,7 @@ from hsed_jax.app.page import Page
 from hsed_jax.errors import UserError
 
 ADDRESS = "127.0.0.1"
-# Of one message [bytes]; a dropped file comes in several.
+# Size of one message [bytes]; a dropped file arrives in several messages.
 _MESSAGE = 64 * 1024**2
 _CHUNK = 1024**2
 _SAFE = {
@@ -35,10 +35,10 @@ _TYPES = {".html": "text/html; charset=utf-8", ".yaml": "text/yaml; charset=utf-
 
 
 class RunFile(RequestHandler):
-    """Hands out files of runs."""
+    """Serves files of runs."""
 
     def initialize(self, folder: Folder) -> None:
-        """Take what the server knows."""
+        """Receive the state of the server."""
         self._folder = folder
 
     async def get(self, run: str, name: str) -> None:
@@ -64,11 +64,11 @@ class _NoIcon(RequestHandler):
 
 
 def serve(root: Path, port: int, opens: bool) -> int:
-    """Serve the page until Ctrl-C or a termination, and say where it is.
+    """Serve the page until Ctrl-C or a termination, and print its address.
 
     Arguments:
         root: the folder that it may read and write.
-        port: where it listens; 0: where there is room.
+        port: of the server; 0: any free port.
         opens: whether to open it in the browser.
 
     Returns:
@@ -121,7 +121,7 @@ def made(folder: Folder, jobs: Jobs, port: int) -> tuple[Server, str]:
 
 
 def _free(port: int) -> int:
-    """The port, or one that is free: which pages may connect is said with its number."""
+    """The port, or a free one: the allowed origins of a connection contain its number."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -1,1 +1,1 @@
-"""What a fitted specimen does: numerical experiments on it, and what an engineer reads from them."""
+"""The behaviour of a fitted specimen: numerical experiments on it, and the engineering quantities from them."""

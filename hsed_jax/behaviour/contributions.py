@@ -1,12 +1,12 @@
-r"""What one effect does in a fitted specimen: the specimen with it less the same specimen without it.
+r"""The influence of one effect in a fitted specimen: the specimen with it minus the same specimen without it.
 
 The difference of the forces, ΔF, may be a function of the elongation alone, or of the rate alone.  Each is the share of its
 square that means over classes of equal elongation, or of equal rate, explain (the correlation ratio, a first-order Sobol' index):
 
 $$\eta_x^2 = 1 - \frac{\sum(\Delta F - \overline{\Delta F}(x))^2}{\sum \Delta F^2} .$$
 
-What is neither changes the hysteresis.  Then quantities of the loops differ, and with what they differ is told by how well a
-history is predicted from its neighbours along one driver (predictivity, one less the relative squared error).
+Otherwise the effect changes the hysteresis. Then quantities of the loops differ. Their driver is the one along which a
+history is predicted best from its neighbours (predictivity, one minus the relative squared error).
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ _CLASSES = 40
 
 
 class Curve(NamedTuple):
-    """A force as a function of one thing.
+    """A force as a function of one variable.
 
     Attributes:
         share: of ΔF that it explains.
@@ -37,13 +37,13 @@ class Curve(NamedTuple):
 
 
 class Contribution(NamedTuple):
-    """What an effect does.
+    """The influence of an effect.
 
     Attributes:
         size: root mean square of ΔF over that of the force.
         elastic, by_rate: ΔF as a function of the elongation, and of the rate.
-        changes: of quantities, over what they are without the effect (ratios as they are), (B,) each; histories that were not
-            simulated have no number.
+        changes: of quantities, relative to their values without the effect (ratios: absolute changes), (B,) each; NaN for
+            histories that were not simulated.
         drivers: as of `Probed`, of the specimen with the effect.
     """
 
@@ -59,7 +59,7 @@ class Contribution(NamedTuple):
         return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
     def depends(self, *names: str) -> dict[str, float]:
-        """With what the mean of the changes of quantities differs from history to history, the most telling first."""
+        """The drivers of the mean change of quantities over the histories, the best first."""
         change = np.mean([self.changes[name] for name in names], axis=0)
         return dependence(change, self.drivers)
 
@@ -67,12 +67,12 @@ class Contribution(NamedTuple):
 def contribution(
     histories: Histories, force: Float[np.ndarray, "2 B samples"], probed: tuple[Probed, Probed], rate: float
 ) -> Contribution:
-    """What an effect does.
+    """The influence of an effect.
 
     Arguments:
-        histories: what was imposed.
+        histories: the imposed ones.
         force: with and without the effect [N].
-        probed: what was read of both.
+        probed: the quantities of both.
         rate: characteristic rate of the elongation [m/s].
     """
     u, v = histories.elongation[:, ::2], histories.rate[:, ::2] / rate
@@ -80,7 +80,7 @@ def contribution(
     weight[:, 1:] = np.abs(np.diff(u, axis=1))
     is_read = np.isfinite(probed[0].quantities["strength+"]) & np.isfinite(probed[1].quantities["strength+"])
     weight *= is_read[:, None]
-    # Where a leg comes to its speed, the rate is of no class.
+    # During the acceleration of a leg, the rate belongs to no class.
     is_steady = np.pad(np.abs(np.diff(v, axis=1)) < 1e-3 * np.abs(v[:, 1:]), ((0, 0), (1, 1)))
     weight *= is_steady[:, :-1] | is_steady[:, 1:]
     used = weight > 0
@@ -97,7 +97,7 @@ def contribution(
 
 
 def dependence(values: Float[np.ndarray, " B"], drivers: Mapping[str, Float[np.ndarray, " B"]]) -> dict[str, float]:
-    """How well each driver alone predicts values, between 0 and 1, the best first."""
+    """The predictivity of each driver alone, between 0 and 1, the best first."""
     known = np.isfinite(values)
     found = {name: _predictivity(values[known], driver[known]) for name, driver in drivers.items()}
     return dict(sorted(found.items(), key=lambda item: -item[1]))

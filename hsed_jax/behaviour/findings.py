@@ -1,4 +1,4 @@
-"""What a specimen does, in the quantities of an engineer, and how it is said."""
+"""The behaviour of a specimen in engineering quantities, and its sentences."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ DRIVERS = {
     "elongation": "the elongation",
     "sign": "the sign of the rate",
 }
-"""Words of what a quantity changes with."""
+"""Words of the drivers of a quantity."""
 
 
 class Value(NamedTuple):
@@ -56,15 +56,15 @@ class Value(NamedTuple):
 
 @dataclass(frozen=True)
 class Behaviour:
-    """One thing that a specimen does.
+    """One property of the behaviour of a specimen.
 
     Attributes:
         quantity: a key of `QUANTITIES`.
         change: `falls`, `grows`, or `is there` where it is the same all the time; `differs` where it stays, and is not that of
-            the model as it was.
-        drivers: with what it changes, and how well that alone predicts it, from 0 to 1; the best first.
+            the first model.
+        drivers: the variables with which it changes, with the predictivity of each alone, from 0 to 1; the best first.
         before, after: of the virgin specimen and after the whole test; of a force that an effect adds, at the least and at the
-            largest elongation or rate; where it differs, of the model as it was and with the effects.
+            largest elongation or rate; where it differs, of the first model and with the effects.
         unit: SI, of the pair that the specimen is measured in.
         sides: `both`, `tension` or `compression`.
         specimen: its name, where there are several.
@@ -100,7 +100,7 @@ class ProbedCurve(NamedTuple):
     """A quantity along the test, SI.
 
     Attributes:
-        before: of the model as it was, (places,).
+        before: of the first model, (places,).
         mean, q05, q95: of the model with the named effects, (places,).
     """
 
@@ -112,7 +112,7 @@ class ProbedCurve(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Behaviours(Tabular):
-    """What a specimen does, and how that was seen.
+    """The behaviour of a specimen, with the curves behind it.
 
     Attributes:
         changes: in the order of `QUANTITIES`.
@@ -130,7 +130,7 @@ class Behaviours(Tabular):
 
     @property
     def sentence(self) -> str:
-        """The main changes in one sentence; empty where nothing changes."""
+        """The main changes in one sentence; empty if nothing changes."""
         main = [one for one in self.changes if one.quantity not in _FURTHER]
         is_told = any(one.quantity in ("initial_stiffness", "strength") for one in main)
         said = [one.sentence for one in (main if is_told else self.changes)[:_SAID]]
@@ -161,7 +161,7 @@ class Behaviours(Tabular):
 
 # Changes of a sentence.
 _SAID = 3
-# What says no more than the initial stiffness and the strength do, where these change.
+# Quantities without information beyond the initial stiffness and the strength, if these change.
 _FURTHER = ("unloading_stiffness", "reloading_stiffness", "post_yield_stiffness", "sharpness")
 
 

@@ -1,13 +1,13 @@
-r"""The numerical experiments on a fitted specimen: what it has gone through, then a loop that its behaviour is read from.
+r"""The numerical experiments on a fitted specimen: a loading history, then a loop that shows the behaviour.
 
-Two sets of histories are imposed.  The first fills the range that the data visited: amplitude, path, rest and speed of each
-history are a point of a Sobol' sequence, so that what changes with one of them is told from what changes with another.  The
-second follows the reversals of a test up to several places along its path.  Every history ends with the same loop,
+Two sets of histories are imposed.  The first fills the range of the data: amplitude, path, rest and speed of each history are
+a point of a Sobol' sequence, so that the influences of these variables can be separated.  The second follows the reversals of
+a test up to several places along its path.  Every history ends with the same loop,
 
     0 → a → −a → a, and a rest at a.
 
-Legs have a constant speed but for a short stretch at both ends, where it rises and falls linearly: at a reversal the elongation
-is smooth, and a force that depends on the rate shows as a jump.
+Legs have a constant speed, except for a short stretch at both ends, where the speed changes linearly. The elongation is
+therefore smooth at a reversal, and a force that depends on the rate has a jump there.
 """
 
 import itertools
@@ -21,9 +21,10 @@ from jaxtyping import Float
 
 from hsed_jax.measurements.turns import half_cycles
 
-# Shares of the time of a leg: it comes to its speed, and its force is followed closely; each has an eighth of the steps.
+# Shares of the time of a leg: for the acceleration, and for small steps of the force; each has an eighth of the steps.
 _RAMP, _CLOSE = 0.01, 0.04
-# Amplitude of the loop over the largest elongation: what depends on that must be able to differ from history to history.
+# Amplitude of the loop over the largest elongation; a smaller loop lets the largest elongation differ between
+# histories.
 _LOOP = 0.5
 # Amplitudes of histories over the largest elongation, and speeds of the loop over the characteristic rate.
 _AMPLITUDES, _SPEEDS = (0.1, 1.0), (0.1, 1.0)
@@ -36,12 +37,12 @@ PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 class Range(NamedTuple):
-    """What the data visited.
+    """The range of the data.
 
     Attributes:
         turns: elongations at the reversals of the test with the longest path, from zero on [m], (r,).
         rate: characteristic rate of the elongation [m/s].
-        has_time: whether rates and rests mean anything.
+        has_time: whether rates and rests are known.
     """
 
     turns: Float[np.ndarray, " r"]
@@ -86,7 +87,7 @@ class _Leg(NamedTuple):
 
 
 def range_of(elongation: Float[np.ndarray, " n"], rate: float, has_time: bool = True) -> Range:
-    """What a record of the elongation visited, from zero on [m]."""
+    """The path of a record of the elongation, from zero on [m]."""
     u = np.concatenate([[0.0], elongation[np.isfinite(elongation)]])
     return Range(u[half_cycles(u)], rate, has_time)
 

@@ -1,7 +1,8 @@
-"""The name of an effect follows from what it does: one table from behaviours to names.
+"""The name of an effect follows from its behaviour: one table from behaviours to names.
 
-An effect is called by the formula that fitted.  Where that formula does what another effect stands for (a pinching so wide that
-it acts over the whole loop is a stiffness that falls), the table says which names the behaviour has.  What a name stands for:
+At first an effect has the name of the formula that fits. The formula may have the behaviour of another effect: very wide
+pinching acts over the whole loop and equals a falling stiffness. The table has the names of each behaviour.  The meaning of
+the names:
 
 | what the effect does to the force | changes | with | names |
 |---|---|---|---|
@@ -21,8 +22,8 @@ it acts over the whole loop is a stiffness that falls), the table says which nam
 | | either | rate | `rate_dependence` |
 | | one side's differs from the other's | sign | `asymmetry` |
 
-What the table does not tell apart keeps the name of its formula.  A name is exchanged for one of its own kind only: in a specimen
-that hardly yields, what changes its loops looks like a force of the elongation.
+If the table does not distinguish an effect, it keeps the name of its formula.  A name is only exchanged for one of the same
+kind, because in a specimen that hardly yields, a change of the loops resembles a force of the elongation.
 """
 
 from typing import NamedTuple
@@ -36,15 +37,15 @@ PRACTICAL = 0.1
 
 # A force is a function of the elongation, or of the rate, that explains so much of it: friction may wear, a spring does not.
 _ELASTIC, _RATE = 0.98, 0.9
-# A change that a driver tells: it predicts so much of what differs between histories.
+# A driver explains a change if it predicts this share of the differences between histories.
 _TOLD = 0.5
 # A change is the same in every history if it differs by less than this share.
 _STEADY = 0.2
-# Of two changes the larger one has the name from this ratio on.
+# From this ratio of two changes on, only the larger one determines the name.
 _MORE = 2.0
 # Exponents between which a force grows in proportion.
 _LINEAR = (0.85, 1.3)
-# What makes a specimen stronger at speed.
+# Names of effects that increase the strength with the rate.
 _DELAYED = ("rate_dependence", "relaxation", "viscous_damping", "power_damping", "quadratic_damping")
 _HISTORY = ("absorbed_energy", "path", "largest_elongation", "reversals")
 
@@ -54,7 +55,7 @@ _KINDS = (
     {"coulomb_friction", "stribeck_friction", "viscous_damping", "power_damping", "quadratic_damping"},
     {"stiffness_degradation", "pinching", "slip", "gap", "strength_degradation", "isotropic_hardening", "asymmetry"},
 )
-"""Effects whose names may stand for one another: forces of the elongation, of the rate, and what changes the hysteresis."""
+"""Effects whose names may be exchanged: forces of the elongation, forces of the rate, and changes of the hysteresis."""
 
 
 class Trait(NamedTuple):
@@ -62,8 +63,8 @@ class Trait(NamedTuple):
 
     Attributes:
         quantity, change: as in `diagnosis.behaviour` of `summary.json`.
-        driver: with what it changes; empty where with nothing.
-        names: of effects with this behaviour, the plain one first; none where a name says nothing of it.
+        driver: the variable with which it changes; empty without one.
+        names: of effects with this behaviour, the plain one first; empty if no name describes it.
     """
 
     quantity: str
@@ -73,21 +74,21 @@ class Trait(NamedTuple):
 
 
 def called(effect: str, found: Trait | None) -> str:
-    """The name of what an effect does: its own, unless the table has another one of its kind for it."""
+    """The name of the behaviour of an effect: its own, unless the table has another one of the same kind."""
     if found is None or not found.names or effect in found.names:
         return effect
     return found.names[0] if any({effect, found.names[0]} <= kind for kind in _KINDS) else effect
 
 
 def trait(found: Contribution) -> Trait | None:
-    """What an effect does in the main; None where it does less than is of practical size, or what no name stands for."""
+    """The main behaviour of an effect; None if it is too small to matter, or has no name."""
     if found.size < PRACTICAL**2:
         return None
     if found.elastic.share > _ELASTIC:
         return _elastic(found.elastic)
     if found.by_rate.share > _RATE:
         return _by_rate(found.by_rate, _driver(found, "rate_force"))
-    # What is nearly one of them changes no hysteresis.
+    # An effect that is nearly such a force does not change the hysteresis.
     return None if found.elastic.share > _RATE else _hysteretic(found)
 
 
@@ -166,7 +167,7 @@ def _told(
 
 
 def _driver(found: Contribution, *names: str) -> str:
-    """With what quantities change; empty where they hardly differ between histories, or nothing tells."""
+    """The drivers of quantities; empty if they hardly differ between histories, or if no driver predicts them."""
     change = np.mean([found.changes[name] for name in names], axis=0)
     if not np.nanmax(change) - np.nanmin(change) > _STEADY * np.nanmax(np.abs(change)):
         return ""

@@ -1,7 +1,7 @@
-r"""What an engineer reads from the loop of a numerical experiment (`hsed_jax.behaviour.histories`).
+r"""The engineering quantities from the loop of a numerical experiment (`hsed_jax.behaviour.histories`).
 
-Close to a reversal, where the rate changes its sign at one elongation, the force before and the force after are continued to the
-reversal.  Half the difference is the force that depends on the rate, whatever else the specimen does:
+Close to a reversal, where the rate changes its sign at one elongation, the force before and the force after are continued to
+the reversal.  Half the difference is the force that depends on the rate, for any other behaviour of the specimen:
 
 $$f(v) = \tfrac12\,[F(a^-) - F(a^+)] .$$
 """
@@ -13,20 +13,20 @@ from jaxtyping import Bool, Float
 
 from hsed_jax.behaviour.histories import Histories
 
-# A loop with a height, and a force that is one: shares of the force at the peaks.
+# Least height of a loop, and least force, as shares of the force at the peaks.
 _HEIGHT = 0.02
-# Slopes are those of what is within these shares of the amplitude.
+# Slopes are taken within these shares of the amplitude.
 _NEAR, _LATE = 0.05, 0.3
-# Samples through which a branch is continued: those of the stretch that is followed closely.
+# Samples for the continuation of a branch: those of the stretch with small steps.
 _NEAREST = 4
 
 
 class Probed(NamedTuple):
-    """What was read of every history.
+    """The quantities of every history.
 
     Attributes:
         quantities: by name, SI, (B,) each; those of one side end with its sign.
-        drivers: what the specimen had gone through when the loop turned first, by name, SI, (B,) each.
+        drivers: the drivers at the first turn of the loop, by name, SI, (B,) each.
     """
 
     quantities: dict[str, Float[np.ndarray, " B"]]
@@ -55,13 +55,13 @@ class _Branch(NamedTuple):
         return np.where(passes, u - f * (v - u) / np.where(passes, g - f, 1.0), self.elongation[:, -1])
 
     def slope(self, at: Float[np.ndarray, " B"], reach: Float[np.ndarray, " B"]) -> Float[np.ndarray, " B"]:
-        """Least-squares slope of what is no farther than `reach`, of three samples at least [N/m]."""
+        """Least-squares slope of samples within `reach`, of three samples at least [N/m]."""
         near = self._near(at, reach, 3)
         x = np.where(near, self.elongation - self.elongation.mean(axis=1, where=near, keepdims=True), 0.0)
         return (x * self.force).sum(axis=1) / (x * x).sum(axis=1)
 
     def tangent(self, at: Float[np.ndarray, " B"], reach: Float[np.ndarray, " B"]) -> Float[np.ndarray, " B"]:
-        """Slope at an elongation, by a parabola through what is no farther than `reach` and the nearest samples [N/m]."""
+        """Slope at an elongation, by a parabola through the samples within `reach` and the nearest samples [N/m]."""
         return self._parabola(at, reach)[1]
 
     def continued(self, to: Float[np.ndarray, " B"]) -> Float[np.ndarray, " B"]:
@@ -83,12 +83,12 @@ class _Branch(NamedTuple):
 
 
 def probed(histories: Histories, force: Float[np.ndarray, "B samples"], ok: Bool[np.ndarray, " B"]) -> Probed:
-    """Read the loops.
+    """Evaluate the loops.
 
     Arguments:
-        histories: what was imposed.
-        force: the answer at the start and at the ends of the steps [N], (B, n+1).
-        ok: the histories that were simulated; of others nothing is read, and they have no number.
+        histories: the imposed ones.
+        force: the response at the start and at the ends of the steps [N], (B, n+1).
+        ok: the simulated histories; the quantities of the others are NaN.
     """
     u = histories.elongation[:, ::2]
     force = np.where(ok[:, None], force, 0.0)
@@ -150,7 +150,7 @@ def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, 
 
 
 def _play(branch: _Branch, level: np.ndarray, close: np.ndarray) -> Float[np.ndarray, " B"]:
-    """How far the elongation goes while there is hardly any force, less what the stiffness beside that takes [m]."""
+    """Range of the elongation with hardly any force, minus the elongation that the neighbouring stiffness explains [m]."""
     first, last = branch.crossing(-level), branch.crossing(level)
     stiffness = branch.slope(last + 0.5 * close, 0.5 * close)
     rising = stiffness > 0

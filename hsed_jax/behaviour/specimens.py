@@ -69,7 +69,7 @@ def alone(simulator: Simulator, element: Element, held: Mapping[str, float]) -> 
 
 
 def longest_step(yield_elongation: float, largest: float) -> float:
-    """Of the elongation, so that a specimen that yields there is followed [m]."""
+    """Step of the elongation that resolves a yielding specimen [m]."""
     return max(_PER_YIELD * min(yield_elongation, largest), largest / _FINEST)
 
 

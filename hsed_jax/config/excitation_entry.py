@@ -18,7 +18,7 @@ _TYPES: dict[str, Any] = {
 
 
 def _field(setting: Setting) -> tuple[Any, Any]:
-    """The type and the default of a setting, as pydantic makes a field of them."""
+    """The type and the default of a setting, for a field of pydantic."""
     kind: Any = Literal[*setting.words] if setting.kind == "word" else _TYPES[setting.kind]
     if setting.is_optional:
         return kind | None, None
@@ -35,9 +35,10 @@ _KINDS: Any = {name: (_section(excitation) | None, None) for name, excitation in
 
 
 class ExcitationEntry(create_model("ExcitationEntry", __base__=Section, **_KINDS)):
-    """What drives the experiments, how long to simulate [s], and the step of the integration [s] (by default from the periods).
+    """The excitation of the experiments, the duration of the simulation [s], and the step of the integration [s] (by default
+    from the periods).
 
-    Of its settings a name refers to an input, a number is fixed.
+    A setting that is a name refers to an input; a number is fixed.
     """
 
     duration: Positive | None = None

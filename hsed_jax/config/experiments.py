@@ -33,17 +33,17 @@ class ExperimentsEntry(create_model("ExperimentsEntry", __base__=Section, **_LAB
 
     @property
     def laboratory(self) -> AbstractLaboratoryEntry | None:
-        """What performs experiments; None where they were measured already."""
+        """The laboratory; None if the experiments are already measured."""
         return None if self.campaign is not None else getattr(self, self.kind)
 
     @property
     def specimen(self) -> VirtualEntry | None:
-        """The virtual specimen; None where the laboratory is another one."""
+        """The virtual specimen; None with another laboratory."""
         return self.laboratory if isinstance(self.laboratory, VirtualEntry) else None
 
     @property
     def described(self) -> str:
-        """What it is, for a title."""
+        """Its kind, for a title."""
         return f"the campaign {self.campaign}" if self.laboratory is None else self.laboratory.described
 
     def located(self, folder: Path) -> "ExperimentsEntry":

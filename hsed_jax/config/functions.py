@@ -1,4 +1,4 @@
-"""The entry of a model that is no spring law: a Python function, or a program."""
+"""The entry of a model other than a spring law: a Python function, or a program."""
 
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -10,7 +10,7 @@ from hsed_jax.sections import InputEntry, LevelsEntry, ProgramEntry, Section
 
 
 class CalledEntry(Section):
-    """A model that is called and is no spring law: it has no effects."""
+    """A called model instead of a spring law: it has no effects."""
 
     levels: LevelsEntry = {}
     effects: ClassVar[dict[str, dict[str, Number | dict[str, Any]]]] = {}
@@ -21,7 +21,7 @@ class CalledEntry(Section):
 class FunctionEntry(CalledEntry):
     """A model that is a function, `FILE:NAME` relative to the study, or a program; its parameters have the names it gives them.
 
-    `derivatives` says how it is differentiated: by JAX or by differences; by default by JAX wherever JAX can trace it.
+    `derivatives` selects its derivatives: by JAX or by differences; by default by JAX if JAX can trace it.
     """
 
     function: str | None = None
@@ -62,12 +62,12 @@ class FunctionEntry(CalledEntry):
 
     @property
     def code(self) -> list[str]:
-        """What is executed where the model is built."""
+        """Files that are executed when the model is built."""
         return [self.file_and_name[0] if self.command is None else self.command.run]
 
     @property
     def described(self) -> tuple[str, str]:
-        """What kind of model it is, and which."""
+        """The kind and the name of the model."""
         return ("function", self.function or "") if self.command is None else ("command", self.command.run)
 
     def located(self, folder: Path) -> "FunctionEntry":

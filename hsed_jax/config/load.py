@@ -21,7 +21,8 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
         overrides: `key=value` by dotted path, the value in YAML, such as `design.iterations=10`.
 
     Raises:
-        UserError: the file is missing or no YAML, or a key or value is not allowed; names the key and what is.
+        UserError: the file is missing or not YAML, or a key or value is not allowed; the message has the key and the allowed
+            values.
 
     Example:
         >>> study = hx.load_study("study.yaml", ["design.iterations=10"])
@@ -56,14 +57,14 @@ def load_study(source: str | Path | dict[str, Any], overrides: Sequence[str] = (
 
 
 def load_trusted(file: str, overrides: Sequence[str] = (), *, trust: bool) -> Study:
-    """Read a study that is only looked at: it may not execute its files, unless the user trusts them.
+    """Read a study for inspection: its files are not executed, unless the user trusts them.
 
     Arguments:
         file, overrides: as `load_study`.
-        trust: whether the user said so.
+        trust: whether the user trusts the files.
 
     Raises:
-        UserError: as `load_study`; it would execute code, and the user did not say so.
+        UserError: as `load_study`; it would execute code, and the user does not trust it.
     """
     study = load_study(file, overrides)
     if study.code and not trust:
@@ -99,14 +100,14 @@ def _override(content: dict[str, Any], override: str) -> dict[str, Any]:
 
 
 def _brief(text: str) -> str:
-    """A text without its end, where that is far."""
+    """A text without its end, if it is long."""
     return text if len(text) <= 60 else f"{text[:59]}…"
 
 
 def explain(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first fault of a validation in one sentence: key, fault, what is allowed."""
+    """The first fault of a validation in one sentence: key, fault, allowed values."""
     faults = error.errors(include_url=False)
-    # The branch of a union that got furthest has the best message.
+    # The branch of a union with the deepest fault has the best message.
     fault = max(
         faults, key=lambda f: (len([k for k in f["loc"] if f["type"] != "float_type"]), f["type"] == "extra_forbidden")
     )
@@ -165,7 +166,7 @@ def _wanted(fault: Any) -> str:
 
 
 def _same_place(one: Any, other: Any) -> bool:
-    """Whether two faults concern the same key of the user's: branches of a union that were all tried in vain."""
+    """Whether two faults concern the same key of the user: failed branches of one union."""
     keys = [[str(k) for k in f["loc"] if not _is_branch(str(k))] for f in (one, other)]
     return keys[0] == keys[1]
 

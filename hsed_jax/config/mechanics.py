@@ -33,7 +33,7 @@ class LinearSpringEntry(Section):
 
 
 class SpecimenEntry(Section):
-    """Where the specimen sits; its elongation is the displacement of the second end less that of the first."""
+    """The ends of the specimen; its elongation is the displacement of the second end minus that of the first."""
 
     between: tuple[End, End]
 
@@ -74,7 +74,7 @@ class SpecimenModelEntry(Section):
 
     @property
     def described(self) -> tuple[str, str]:
-        """What kind of model it is, and which."""
+        """The kind and the name of the model."""
         return "law", self.spring.law if isinstance(self.spring, OwnLawEntry) else self.spring
 
     def located(self, folder: Path) -> "SpecimenModelEntry":
@@ -86,7 +86,7 @@ class SpecimenModelEntry(Section):
 
 
 class OneSpecimenEntry(SpecimenEntry):
-    """One of several specimens; without a model of its own it shares that of the study."""
+    """One of several specimens; without its own model it shares that of the study."""
 
     model: SpecimenModelEntry | None = None
 
@@ -98,7 +98,7 @@ class StructureEntry(Section):
     springs: list[LinearSpringEntry] = []
     specimen: SpecimenEntry | None = None
     specimens: Annotated[dict[str, OneSpecimenEntry], Field(min_length=1)] | None = None
-    """Several by name, which stands before what belongs to each: storey2.A, storey2.force."""
+    """Several specimens have names, which precede their parameters and outputs: storey2.A, storey2.force."""
     damping: Damping
 
     @model_validator(mode="after")
@@ -126,7 +126,7 @@ class ModelEntry(SpecimenModelEntry):
     """The computational simulator: the spring law, its parameters, its effects."""
 
     levels: LevelsEntry = {}
-    """What varies between specimens: parameters by columns of the experiments, the outer ones first."""
+    """Parameters that vary between specimens, by columns of the experiments, the outer ones first."""
     own_effects: list[str] = []
     """Python files with effects of your own, relative to the study; they join the catalogue."""
 

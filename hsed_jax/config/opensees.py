@@ -17,7 +17,7 @@ def known_material(name: str) -> str:
     """The name of a material of the table.
 
     Raises:
-        ValueError: there is no such material; the message names those that there are.
+        ValueError: there is no such material; the message lists the existing ones.
     """
     if name not in MATERIALS:
         close = difflib.get_close_matches(name, MATERIALS, n=1, cutoff=0.5)
@@ -27,7 +27,7 @@ def known_material(name: str) -> str:
 
 
 def asked_material(name: str, option: str) -> str:
-    """The name of a material that was asked for by an option, not by a study.
+    """The name of a material from an option of a command.
 
     Raises:
         UserError: there is no such material.
@@ -39,23 +39,25 @@ def asked_material(name: str, option: str) -> str:
 
 
 class OpenSeesEntry(CalledEntry):
-    """A model that is a uniaxial material of OpenSees, along the elongation that was imposed."""
+    """A model that is a uniaxial material of OpenSees, along the imposed elongation."""
 
     opensees: Annotated[str, AfterValidator(known_material)]
     """The material, by the name of OpenSees."""
     parameters: dict[str, ParameterEntry] = {}
-    """A number fixes a parameter, a prior frees it, `{}` is the prior of the table; what is left out is as the table has it."""
+    """A number fixes a parameter, a prior frees it, `{}` is the prior of the table. An omitted parameter has its entry
+    of the table.
+    """
     search: Annotated[Whole, Field(ge=0)] = 2000
-    """Simulations of the search without derivatives that comes before the descents; 0 leaves it out."""
+    """Number of simulations of the derivative-free search before the descents; 0 skips the search."""
 
     @property
     def code(self) -> list[str]:
-        """What is executed where the model is built: nothing of the user's."""
+        """Files that are executed when the model is built: none of the user."""
         return []
 
     @property
     def described(self) -> tuple[str, str]:
-        """What kind of model it is, and which."""
+        """The kind and the name of the model."""
         return "opensees", self.opensees
 
     def located(self, folder: Path) -> "OpenSeesEntry":

@@ -35,7 +35,7 @@ class KrigingEntry(Section):
 
 
 class StopEntry(Section):
-    """When a design has learned enough, before its iterations are used up."""
+    """Rules that stop a design before its iterations are used up."""
 
     expected_improvement: Positive | None = None
     """Stop when the largest expected improvement falls below this."""
@@ -44,7 +44,7 @@ class StopEntry(Section):
     posterior_width: Positive | None = None
     """Stop when the 90 % interval of every parameter is narrower than this share of its mean."""
     verdict: bool = False
-    """Stop when the diagnosis, made after every step, names what is missing."""
+    """Stop when the diagnosis, made after every step, names a missing effect."""
 
 
 _Limit: Any = Positive
@@ -52,7 +52,7 @@ _LIMITS: Any = {known.limit: (_Limit | None, None) for known in QUANTITIES.value
 
 
 class LimitsEntry(create_model("LimitsEntry", __base__=Section, **_LIMITS)):
-    """What specimen, actuator and masses can bear (SI): inputs whose predicted response exceeds it are not asked.
+    """Limits of specimen, actuator and masses (SI): inputs whose predicted response exceeds a limit are not requested.
 
     Besides those below, the limits of the quantities that have one (`hsed_jax.physics.outputs`).
     """
@@ -60,16 +60,16 @@ class LimitsEntry(create_model("LimitsEntry", __base__=Section, **_LIMITS)):
     velocity: Positive | None = None
     """Largest rate of the elongation [m/s]."""
     probability: Annotated[Number, Field(gt=0, lt=1)] = 0.05
-    """Of exceeding a limit that is accepted."""
+    """Accepted probability of exceeding a limit."""
 
 
 class CostEntry(Section):
-    """What an experiment costs, in any unit: what is to be gained from it counts over that."""
+    """The cost of an experiment, in any unit; the acquisition is divided by it."""
 
     fixed: Annotated[Number, Field(ge=0)] = 1.0
-    """Of every experiment."""
+    """Cost of every experiment."""
     per: Annotated[dict[str, Number], Field(min_length=1)]
-    """More for each unit of an input, as it is declared."""
+    """Additional cost for each declared unit of an input."""
 
 
 class DesignEntry(Section):
@@ -83,9 +83,9 @@ class DesignEntry(Section):
     limits: LimitsEntry | None = None
     cost: CostEntry | None = None
     replicates: bool = False
-    """Whether inputs may be asked again, or next to those that were."""
+    """Whether inputs of earlier experiments, or inputs next to them, may be requested."""
     variance: Literal["inputs", "inputs_and_parameters"] = "inputs"
-    """Over what the variance in Eq. 12 is taken."""
+    """The distribution of the variance in Eq. 12."""
     kriging: KrigingEntry = KrigingEntry()
 
 
@@ -93,18 +93,18 @@ class CalibrationEntry(Section):
     """Sizes of the calibration: starts of the MAP; chains, adaptation and kept draws per chain of NUTS."""
 
     sampler: Annotated[str, AfterValidator(SAMPLERS.known)] = "auto"
-    """Importance sampling is as exact as NUTS and many times faster where it works, which it can tell; `auto` tries it first and
-    leaves to NUTS what it cannot vouch for (of a model just improved it says so instead).  `laplace` is the Gaussian around the
-    MAP, without sampling."""
+    """Importance sampling is as exact as NUTS and many times faster if its weights are reliable, which it tests; `auto` tries
+    it first, and uses NUTS if they are unreliable (for an improved model it warns instead).  `laplace` is the Gaussian around
+    the MAP, without sampling."""
     starts: Count = 4
     chains: Count = 4
     warmup: Count = 150
     draws: Count = 500
     step_warmup: Count = 40
     step_draws: Count = 60
-    """Of the posterior at each step of the design, which only steers and reports."""
+    """Draws of the posterior at each step of the design, only for the choice and the report."""
     seconds: Positive | None = None
-    """Budget of NUTS in a calibration, after which the draws that there are are reported, with a warning."""
+    """Time limit of NUTS in a calibration; the draws made until then are reported, with a warning."""
     target_acceptance: Annotated[Number, Field(gt=0, lt=1)] = 0.8
 
 
@@ -112,12 +112,12 @@ _ALL = "all"
 
 
 class MeasurementsEntry(Section):
-    """How the measurements are taken."""
+    """Settings of the measurements."""
 
     accept: dict[str, DoubtKind | list[DoubtKind]] | list[dict[str, DoubtKind]] = {}
-    """Doubts that were looked at and are no faults, by experiment; `all` is every experiment."""
+    """Accepted doubts, by experiment; `all` is every experiment."""
     samples: Annotated[int, Field(ge=100)] = 4000
-    """Longer records of component tests are thinned to about so many samples."""
+    """Longer records of component tests are thinned to about this number of samples."""
     height: Positive | None = None
     """Height [m] over which the elongation is a drift: the check of the data judges the drift ratio."""
 
@@ -254,7 +254,9 @@ class Study(Tabular, Section):
 
     @property
     def code(self) -> list[str]:
-        """What is executed where the study is built: its model, laws, effects, and its laboratory that is a Python function."""
+        """Files that are executed when the study is built: its model, laws, effects, and its laboratory that is a
+        Python function.
+        """
         models, laboratory = (
             [file for model in self.models.values() for file in model.code],
             self.experiments.laboratory,

@@ -1,8 +1,9 @@
-r"""How far the model is from the measurements, against what the noise alone would leave.
+r"""The error of the model, compared with the error of the noise alone.
 
 `error` is the normalised root-mean-square error: for each output the RMS residual over the RMS of that output about its mean,
-outputs averaged in the square.  `noise_floor` is the same figure for the noise, and `from_parameters` and `from_model` are those
-for what the parameters do not know and for how wrong the model is: the squares of these parts add up to about that of the error.
+outputs averaged in the square.  `noise_floor` is the same figure for the noise, and `from_parameters` and `from_model` are
+those for the uncertainty of the parameters and for the error of the model. The squares of these parts add up to approximately
+the square of the error.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,11 +24,12 @@ from hsed_jax.tables import Table, Tabular, cell
 
 # Errors up to this multiple of the noise count as noise for any significance: the size of a noise is not known better.
 _MATERIAL = 1.05
-# A noise so many times larger than in its record would have an autocorrelation of more than 0.93 from sample to sample.
+# Noise that exceeds the noise of its record by this factor would have an autocorrelation of more than 0.93 from sample
+# to sample.
 _MEMORY = 5.0
-_CYCLES = 6  # that are named
+_CYCLES = 6  # number of named cycles
 WITHOUT = "coverage_90_without"
-"""Coverage of the band without the discrepancy, where one is learned."""
+"""Coverage of the band without the discrepancy, if one is learned."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Split:
         per_output: nrmse, noise_floor and other parts, bias, r2, peak_error, coverage_90 by output.
         per_experiment: the same by experiment and output, and energy_error where force and elongation are known.
         diverged: experiments whose simulation diverged.
-        parts: what the error comes from besides the noise, over all outputs.
+        parts: sources of the error besides the noise, over all outputs.
     """
 
     error: float
@@ -51,7 +53,7 @@ class Split:
 
     @property
     def attributed(self) -> str | None:
-        """What the error comes from, in words; None where nothing is said of the model."""
+        """The sources of the error, in words; None without a statement on the error of the model."""
         if "model" not in self.parts or not np.isfinite(self.error):
             return None
         parts = ", ".join(f"{name} {size:.3f}" for name, size in {"noise": self.noise_floor, **self.parts}.items())
@@ -64,12 +66,12 @@ class Comparison(Tabular):
 
     Attributes:
         train, test: errors over the experiments that were fitted and over those that were not.
-        p_value: probability of a residual like this from the noise; None where nothing tells the noise.
-        adequate: whether the noise explains the residual: p_value at least 0.01, or an error that exceeds the noise by less than
-            matters.
+        p_value: probability of such a residual from the noise alone; None if the noise is unknown.
+        adequate: whether the noise explains the residual: p_value at least 0.01, or an immaterial excess of the error over
+            the noise.
         worst: experiment, output and error of the largest errors.
-        notes: sentences on how the comparison was made.
-        train_prediction, test_prediction: what the errors are of.
+        notes: sentences on the method of the comparison.
+        train_prediction, test_prediction: the compared predictions.
     """
 
     train: Split
@@ -82,7 +84,7 @@ class Comparison(Tabular):
     test_prediction: Prediction | None
 
     def splits(self) -> Iterator[tuple[str, Split, Prediction]]:
-        """The splits that were compared: `train`, and `test` where there is one."""
+        """The compared splits: `train`, and `test` where there is one."""
         yield "train", self.train, self.train_prediction
         if self.test is not None and self.test_prediction is not None:
             yield "test", self.test, self.test_prediction
@@ -101,7 +103,7 @@ class Comparison(Tabular):
 
     @property
     def warnings(self) -> list[str]:
-        """What to know before believing the figures: sentences on simulations that diverged."""
+        """Warnings: sentences on diverged simulations."""
         predictions = (self.train_prediction, self.test_prediction)
         return [text for prediction in predictions if prediction is not None for text in prediction.warnings]
 
@@ -123,7 +125,7 @@ class Comparison(Tabular):
 
     @property
     def attributed(self) -> list[str]:
-        """What the errors of the splits come from, in sentences, where anything is said of the model."""
+        """The sources of the errors of the splits, in sentences, if the error of the model is known."""
         return [f"{name}: {split.attributed}" for name, split, _ in self.splits() if split.attributed]
 
     @property
@@ -171,24 +173,25 @@ def compare(
 
 
 def is_material(error: float, noise_floor: float) -> bool:
-    """Whether an error exceeds the noise by something that matters: with enough samples anything is significant."""
+    """Whether the excess of an error over the noise is material; with enough samples any excess is significant."""
     return error > _MATERIAL * noise_floor
 
 
 def is_noise(p_value: float | None, error: float, noise_floor: float) -> bool:
-    """Whether what a model leaves is no more than the noise: not significant, or not material; False where nothing is known."""
+    """Whether the noise explains the residual: it is not significant, or not material; False if this is unknown."""
     return p_value is not None and (p_value >= SIGNIFICANT or not is_material(error, noise_floor))
 
 
 def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters: int) -> float | None:
-    r"""Probability that the noise alone leaves such a residual; None where nothing tells the noise.
+    r"""Probability that the noise alone causes such a residual; None if the noise is unknown.
 
-    Where the noise is declared its *size* is tested, $\sum (r/\sigma)^2$ with the variance that memory and kurtosis of the noise
-    give it (`hsed_jax.inference.correlation.size_p_value`): a sensor may well have a memory, and that is no fault of the model.
-    Of histories whose noise nobody declares the size says little, and what is left is tested for being noise of any memory:
-    for whiteness (Ljung & Box 1978 over ten lags) after a first-order autoregression has been taken out.  A short record has no
-    power in that, but what is more than five times the noise that the record itself shows (`noise_sizes`) is none.  Of k such
-    tests, which are nearly independent of one another, the smallest p counts: $1-(1-p)^k$ (Šidák 1967).
+    With a declared noise, the *size* of the residual is tested, $\sum (r/\sigma)^2$ with the variance from autocorrelation
+    and kurtosis of the noise (`hsed_jax.inference.correlation.size_p_value`): the noise of a sensor may be autocorrelated
+    without an error of the model. Without a declared noise, the size of the residual of a history is not informative. The
+    residual is then tested for autocorrelated noise: for whiteness (Ljung & Box 1978 over ten lags) after the removal of a
+    first-order autoregression. This test has little power for a short record. Therefore a residual of more than five times
+    the noise of the record (`noise_sizes`) does not count as noise.  The smallest p of k such (nearly independent) tests
+    counts: $1-(1-p)^k$ (Šidák 1967).
     """
     if prediction.diverged.any():
         return 0.0
@@ -262,8 +265,9 @@ def _split(prediction: Prediction, declared: np.ndarray) -> Split:
 
 
 def _errors(tables: Mapping[str, np.ndarray], scale: float | None = None) -> dict[str, float]:
-    """The figures of one output over some experiments, from measured, predicted, mean, sd, noise and what else the error comes
-    from; NaN: not measured."""
+    """The figures of one output over some experiments, from measured, predicted, mean, sd, noise and other sources of
+    the error; NaN: not measured.
+    """
     measured, predicted = tables["measured"], tables["predicted"]
     known = np.isfinite(measured)
     residual = (predicted - measured)[known]
@@ -290,13 +294,13 @@ def _errors(tables: Mapping[str, np.ndarray], scale: float | None = None) -> dic
 
 
 def _scale(measured: np.ndarray) -> float:
-    """RMS of an output about its mean; of one number, its size."""
+    """RMS of an output about its mean; for a single number, its magnitude."""
     about_mean = float(np.sqrt(np.mean((measured - measured.mean()) ** 2)))
     return about_mean if about_mean > 0 else float(np.sqrt(np.mean(measured**2))) or 1.0
 
 
 def normalised_error(measured: np.ndarray, predicted: np.ndarray, used: np.ndarray, groups: np.ndarray) -> float:
-    """The error of predictions (n, J), over all outputs; NaN where nothing was measured."""
+    """The error of predictions (n, J), over all outputs; NaN without a measurement."""
     squares = []
     for group in np.unique(groups):
         own = used & (groups == group)
@@ -318,8 +322,9 @@ def _add_energy_errors(prediction: Prediction, per_experiment: dict[str, dict[st
 
 
 def _loops(prediction: Prediction) -> Iterator[tuple[str, str, Cycles, Cycles | None, np.ndarray, np.ndarray]]:
-    """Every loop that is known: experiment, name of the force, cycles measured and predicted (None of no numbers), and
-    what was measured of elongation and force, (m,) each."""
+    """Every known loop: experiment, name of the force, measured and predicted cycles (None without finite numbers), and
+    measured elongation and force, (m,) each.
+    """
     forces = [name for name in prediction.outputs if own_name(name) == "force"]
     for (row, experiment), name in product(enumerate(prediction.experiments), forces):
         if experiment.record is None:

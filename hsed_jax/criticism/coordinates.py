@@ -20,9 +20,10 @@ class Samples:
 
     Attributes:
         share: squared standardised residual of each sample, summing to 1, (m,).
-        expected: the same of a residual in proportion to the motion, and of the noise: nothing is worse than elsewhere, (m,).
-        signed: predicted less measured in the direction of what was measured (positive: the model is too strong), over the
-            RMS of its output about its mean, less what the noise explains of it, (m,).
+        expected: the same for a residual in proportion to the motion, plus the noise: the misfit is then not concentrated,
+            (m,).
+        signed: predicted minus measured in the direction of the measurement (positive: the model is too strong), over the
+            RMS of its output about its mean, minus the part that the noise explains, (m,).
         experiment: index of the experiment, (m,).
         numbers: ordered coordinates by name, SI, each (m,); NaN where unknown.
         words: coordinates without order by name, each (m,).
@@ -79,14 +80,15 @@ def samples_of(prediction: Prediction, campaign: Campaign) -> Samples:
         expected[own] = (noise[output] + (1 - noise[output]) * motion) / squares.size
     numbers = {name: joined[name] for name in UNITS if np.isfinite(joined[name].astype(float)).any()}
     if not campaign.has_time or not _rates_vary(joined["frequency"]):
-        # The row number is no time.  If all cycles take equally long, the rate is a function of the place on the loop.
+        # The row number is not a time.  If all cycles take equally long, the rate is a function of the place on the
+        # loop.
         numbers.pop("speed", None)
     words = {name: joined[name] for name in ("branch", "sign of the force", "output", "experiment")}
     return Samples(share, expected, joined["signed"], joined["experiment_index"], numbers, words)
 
 
 def quantities_of(prediction: Prediction) -> Samples:
-    """Collect the residual of quantities: a row per experiment and quantity; which they are is all there is to know."""
+    """Collect the residual of quantities: a row per experiment and quantity, with only these two coordinates."""
     row, column = np.nonzero(prediction.used)
     measured, residual = prediction.measured[row, column], prediction.residual[row, column]
     # Every output is relative to its RMS, and within an output to its error: a relative error grows with the measurement.
@@ -107,15 +109,16 @@ def quantities_of(prediction: Prediction) -> Samples:
 
 
 def _motion(measured: np.ndarray) -> np.ndarray:
-    """Mean square of a history over the half cycle that each sample belongs to: how much is going on there."""
+    """Mean square of a history over the half cycle that each sample belongs to: a measure of the motion."""
     ends = half_cycles(measured)
     cycle = np.searchsorted(ends[1:-1], np.arange(measured.size), side="right")
     return (np.bincount(cycle, measured**2) / np.maximum(np.bincount(cycle), 1))[cycle]
 
 
 def _beyond_noise(prediction: Prediction, output: str) -> tuple[float, float]:
-    """What makes the residual of an output comparable: 1/RMS of the output, times √ of the share that is not noise; and the
-    share that is."""
+    """The scale of the residual of an output: 1/RMS of the output, times the root of the share that is not noise; and
+    the share of the noise.
+    """
     columns = prediction.columns(output)
     used = prediction.used[:, columns]
     if not used.any():
@@ -129,7 +132,7 @@ def _beyond_noise(prediction: Prediction, output: str) -> tuple[float, float]:
 
 
 def _rates_vary(frequency: np.ndarray) -> bool:
-    """Whether cycles differ in frequency, so that a rate says more than the place on the loop."""
+    """Whether cycles differ in frequency, so that the rate is not determined by the position on the loop."""
     known = frequency[np.isfinite(frequency)]
     if not known.size:
         return False
@@ -138,9 +141,8 @@ def _rates_vary(frequency: np.ndarray) -> bool:
 
 
 def coordinates_of(experiment: Experiment, outputs: Sequence[str]) -> dict[str, dict[str, np.ndarray]]:
-    """By output, the coordinates of every sample: when it was measured, and where on the loop of its specimen.
-
-    What is of no specimen has its place on the loop of the first.
+    """By output, the coordinates of every sample: its time, and its position on the loop of its specimen. Outputs without a
+    specimen have the position on the loop of the first specimen.
     """
     record = experiment.record
     assert record is not None

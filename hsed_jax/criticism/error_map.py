@@ -19,16 +19,16 @@ _GRID = 61
 
 
 def error_map(comparison: Comparison, campaign: Campaign) -> xr.Dataset | None:
-    """Squared error of each experiment over the inputs that vary, and what Kriging makes of it in between.
+    """Squared error of each experiment over the inputs that vary, and its Kriging in between.
 
     Arguments:
         comparison: of at least two experiments.
         campaign: the units of its inputs.
 
     Returns:
-        By `experiment` its `split`, `squared_error` relative to the variance of the measurement, and inputs `at`
-        (experiment, input); `squared_error_mean` and `squared_error_sd` on a grid of the inputs, where there are enough
-        experiments and not too many.  None unless one or two inputs vary.
+        By `experiment` its `split`, `squared_error` relative to the variance of the measurement, and inputs `at` (experiment,
+        input); `squared_error_mean` and `squared_error_sd` on a grid of the inputs, if the number of experiments is suitable.
+        None unless one or two inputs vary.
     """
     found = list(_squared_errors(comparison))
     inputs = {n: np.asarray([campaign.unit(n).from_si(e.inputs[n]) for e, _, _ in found]) for n in campaign.inputs}
@@ -57,7 +57,9 @@ def error_map(comparison: Comparison, campaign: Campaign) -> xr.Dataset | None:
 
 
 def _squared_errors(comparison: Comparison) -> Iterator[tuple[Experiment, str, float]]:
-    """Every experiment, its split and its squared error, averaged over the outputs; where there is one."""
+    """Every experiment, its split and its squared error, averaged over the outputs; experiments without an error are
+    left out.
+    """
     reference = comparison.train.per_output
     for name, split, prediction in comparison.splits():
         histories = prediction.groups.size > len(prediction.outputs)

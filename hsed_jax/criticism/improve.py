@@ -16,7 +16,7 @@ class Step:
 
     Attributes:
         effects: added so far.
-        error_train, error_test: normalised errors; test: of experiments that were not used, None where there are none.
+        error_train, error_test: normalised errors; test: of experiments that were not used, None without them.
         parameters: θ_MAP by name, SI.
     """
 
@@ -31,7 +31,7 @@ class Trail(Tabular):
     """The fall of the error as effects are added.
 
     Attributes:
-        steps: from the model as it was to the one with all effects.
+        steps: from the first model to the one with all effects.
         noise_floor: of the training experiments.
         notes: sentences on how it was made.
     """
@@ -47,7 +47,7 @@ class Trail(Tabular):
 
     @property
     def sentence(self) -> str:
-        """How far the error fell, on experiments that were not used where there are any."""
+        """The reduction of the error, on held-out experiments if they exist."""
         first, last = self.steps[0], self.steps[-1]
         ends = [s.error_train if last.error_test is None else s.error_test for s in (first, last)]
         which = "the fitted experiments" if last.error_test is None else "experiments that were not used"

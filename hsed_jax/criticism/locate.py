@@ -1,16 +1,16 @@
 r"""The places of the misfit, as a ranked list of plain sentences.
 
-For every coordinate the part of the data is sought that tells most about the residual: how large it is there, and which way it
-goes, of parts that hold more of the error than their share of the motion.  With p the share of the squared error in a part, q
-the share of the samples or the share that a misfit in proportion to the motion would have there, whichever is closer to p, and
-R² the share of the squared error that the two means of the signed residual (predicted less measured, in the direction of what
-was measured) inside and outside the part explain beyond their common mean, the part is worth
+For every coordinate, the part of the data with the largest information about the size and the sign of the residual is found.
+Only parts count whose share of the error exceeds their share of the motion.  Let p be the share of the squared error in a
+part. q is the share of the samples or the share that a misfit in proportion to the motion would have there, whichever is
+closer to p. R² is the share of the squared error that the two means of the signed residual (predicted minus measured, in the
+direction of the measurement) inside and outside the part explain beyond their common mean. The part has the information
 
 $$I = \tfrac12\Big[p\log\frac pq + (1-p)\log\frac{1-p}{1-q}\Big] - \tfrac12\log(1-R^2)$$
 
-nats per sample: the divergence of where the error is from where samples and motion are (Kullback & Leibler 1951; halved, since a
-variance that differs by a factor tells half as much as its logarithm), and the gain of a Gaussian likelihood from a mean of
-its own.
+nats per sample. The first term is the divergence between the distribution of the error and that of samples and motion
+(Kullback & Leibler 1951), halved because the information of a variance is half the logarithm of its factor. The second term
+is the gain of a Gaussian likelihood from a separate mean.
 """
 
 from dataclasses import dataclass, replace
@@ -35,10 +35,10 @@ _MORE = 0.05
 
 @dataclass(frozen=True)
 class Place:
-    """A part of the data in which the misfit is concentrated, or goes one way.
+    """A part of the data in which the misfit is concentrated, or has one sign.
 
     Attributes:
-        coordinate: what separates it: time, cycle, amplitude, energy, speed, branch, sign of the force, output,
+        coordinate: the coordinate that defines it: time, cycle, amplitude, energy, speed, branch, sign of the force, output,
             experiment, or the name of an input.
         part: `above` or `below` a limit, or the word.
         limit: in SI (inputs: declared unit); None for words.
@@ -47,12 +47,12 @@ class Place:
         sample_share: share of the samples in it.
         motion_share: share of the squared error that a misfit in proportion to the motion, beside the noise, would have in it; of
             quantities the share of the measured values.
-        information: I, in nats per sample: how much it tells.
-        bias: mean of predicted less measured in it, in the direction of what was measured, over the RMS residual of the
+        information: I, in nats per sample: its information.
+        bias: mean of predicted minus measured in it, in the direction of the measurement, over the RMS residual of the
             part: 1 where the model is always too strong, -1 where it is always too weak.
         bias_elsewhere: the same of all other samples.
-        of_force: whether strength is the word for what was measured; else size.
-        items: what an even misfit follows: the motion, or the measured values.
+        of_force: whether the measured output has a strength, otherwise a size.
+        items: the reference of an even misfit: the motion, or the measured values.
         pair: that the specimen was measured in.
     """
 
@@ -78,12 +78,12 @@ class Place:
 
     @property
     def is_concentrated(self) -> bool:
-        """Whether it holds more of the error than its share of the motion, by something that matters."""
+        """Whether its share of the error exceeds its share of the motion materially."""
         return self.error_share - self.motion_share >= _MORE
 
     @property
     def way(self) -> str:
-        """Which way the model errs there, in words; empty where that is not clear."""
+        """The sign of the error of the model there, in words; empty if it is not clear."""
         there, elsewhere = self._too(self.bias), self._too(self.bias_elsewhere)
         if not there:
             return ""
@@ -91,7 +91,7 @@ class Place:
         return f"; the model is {there} there" + (f" and {elsewhere} elsewhere" if opposite else "")
 
     def _too(self, bias: float) -> str:
-        """Which way the model errs, where it is clear."""
+        """The sign of the error of the model, if it is clear."""
         strong, weak = ("strong", "weak") if self.of_force else ("large", "small")
         return "" if abs(bias) < _CLEAR else f"too {strong if bias > 0 else weak}"
 
@@ -132,7 +132,7 @@ class Place:
 
 
 def _plain(value: float) -> str:
-    """Three digits, without an exponent where a reader would not write one."""
+    """Three digits, without an exponent for usual magnitudes."""
     text = f"{value:.3g}"
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e7 else text
 
@@ -143,7 +143,7 @@ class Location(Tabular):
 
     Attributes:
         places: one per coordinate, ranked.
-        samples: what the places were found in; None where only quantities were observed.
+        samples: the samples behind the places; None if only quantities are observed.
     """
 
     places: list[Place]
@@ -178,11 +178,11 @@ class Location(Tabular):
 
 
 def locate(prediction: Prediction, campaign: Campaign) -> Location:
-    """Find where the misfit lives.
+    """Locate the misfit.
 
     Arguments:
         prediction: of the experiments to look at.
-        campaign: where they come from: its protocol, and the units of its inputs.
+        campaign: of the experiments: its protocol, and the units of its inputs.
     """
     histories = prediction.groups.size > len(prediction.outputs)
     samples = samples_of(prediction, campaign) if histories else quantities_of(prediction)
@@ -234,7 +234,9 @@ def _best_word(name: str, words: np.ndarray, samples: Samples) -> Place | None:
 
 
 def _best(name: str, unit: str, parts: list, known: np.ndarray, samples: Samples) -> Place | None:
-    """The part that tells most; of a part and its complement, which tell the same, the one with more than its share of error."""
+    """The part with the largest information. A part and its complement have the same information; the one with more
+    than its share of error is taken.
+    """
     signed = samples.signed[known]
     total, expected = float(signed @ signed), samples.expected[known]
     if total == 0:
@@ -248,9 +250,9 @@ def _best(name: str, unit: str, parts: list, known: np.ndarray, samples: Samples
         one, other = signed[inside], signed[~inside]
         p, even = float(one @ one) / total, float(expected[inside].sum()) / float(expected.sum())
         if p <= even:
-            continue  # large for the motion that it holds, and no place of the misfit
+            continue  # its share of the motion is large, so it is not a place of the misfit
         explained = signed.size * q * (1 - q) * (one.mean() - other.mean()) ** 2 / total
-        # A share that the samples or the motion explain is no finding.
+        # A share that the samples or the motion explain is not a finding.
         where = min(_divergence(p, q), _divergence(p, even)) if p > q else 0.0
         # Rounded, because a part and its complement carry the same information.
         information = round(0.5 * where - 0.5 * float(np.log1p(-min(explained, 1 - 1e-12))), 9)

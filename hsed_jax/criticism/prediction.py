@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from hsed_jax.inference.posterior import Posterior
 
 HISTORY = 30
-"""Values that an output has at least of which the noise is estimated where nobody declares it."""
-_SEEN = 8  # samples at least that show a noise
+"""Least number of values of an output for an estimate of an undeclared noise."""
+_SEEN = 8  # least number of samples for an estimate of the noise
 _DRAWS = 64
 _NAMED = 6
 ABSURD = 100.0
-"""A prediction beyond this many times the largest magnitude that was measured, or an error beyond this many times what was
-measured, is none: no model of a specimen is off by two orders of magnitude, while a simulation that runs away passes them
-within a few steps."""
+"""A prediction or an error beyond this many times the largest measured magnitude counts as diverged: the error of a
+usable model is smaller than two orders of magnitude, and an unstable simulation exceeds them within a few steps.
+"""
 
 
 def has_diverged(values: npt.ArrayLike, scale: npt.ArrayLike = 1.0) -> np.ndarray:
-    """Where a prediction or an error is not finite, or absurd beside `scale`."""
+    """Where a prediction or an error is not finite, or absurdly larger than `scale`."""
     return np.asarray(~(np.abs(values) <= ABSURD * np.asarray(scale)))
 
 
 def error_cell(error: float | None, look: str = ".3f") -> str:
-    """A normalised error as a cell; a dash where there is none."""
+    """A normalised error as a cell; a dash without one."""
     return "diverged" if error is not None and not np.isnan(error) and has_diverged(error) else cell(error, look)
 
 
@@ -49,7 +49,7 @@ class Band(NamedTuple):
 
     @property
     def sd(self) -> np.ndarray:
-        """Of all parts."""
+        """Standard deviation of all parts together."""
         return np.sqrt(sum(part**2 for part in self.parts.values()))
 
 
@@ -61,17 +61,17 @@ class Prediction:
         outputs: names of the outputs.
         groups: output of each column, (J,).
         experiments: the n experiments.
-        measured: SI, (n, J); meaningless where `used` is false.
+        measured: SI, (n, J); without meaning where `used` is false.
         used: where there is a measurement to compare with, (n, J).
         predicted: at θ_MAP, SI, (n, J).
         mean, sd: of the posterior predictive distribution, the error included, (n, J).
         sigma: sd of the error alone at θ_MAP, as it is declared where it is, (n, J).
         converged: whether the simulation converged, (n,).
         draws_lost: share of the posterior's draws whose simulation diverged, (n,); mean and sd are those of the others.
-        parts: what the band is made of, sd by part, each (n, J): their squares add up to that of `sd`.  `noise`, as declared;
-            `parameters`, by the posterior; where the study says how wrong the model is, `model`, by what its discrepancy may
-            still be or by how much the error was inflated.  An inferred error holds noise and model: of a history, noise is what
-            the record shows of it (`noise_sizes`).
+        parts: parts of the band, sd by part, each (n, J): their squares add up to that of `sd`.  `noise`, as declared;
+            `parameters`, by the posterior; with a learned or inflated error of the model, `model`, from the uncertainty of
+            its discrepancy, or from the inflation of the error.  An inferred error contains noise and model error. For a
+            history, the noise is estimated from the record (`noise_sizes`).
         without: the band without the discrepancy, where one is learned.
     """
 
@@ -91,30 +91,31 @@ class Prediction:
 
     @property
     def correction(self) -> np.ndarray:
-        """What the discrepancy adds to the prediction, SI, (n, J); zero where none is learned."""
+        """Contribution of the discrepancy to the prediction, SI, (n, J); zero if none is learned."""
         return np.zeros_like(self.mean) if self.without is None else self.mean - self.without.mean
 
     @property
     def misfit(self) -> dict[str, np.ndarray]:
-        """What the model itself, without a discrepancy, is expected to miss, by part, (n, J): `parts`, and of the model what is
-        learned of its discrepancy beside what is not."""
+        """The expected error of the model itself, without a discrepancy, by part, (n, J): `parts`, and for the model
+        the learned discrepancy and its remaining uncertainty.
+        """
         if self.without is None:
             return dict(self.parts)
         return {**self.without.parts, "model": np.hypot(self.correction, self.parts["model"])}
 
     @cached_property
     def residual(self) -> np.ndarray:
-        """Predicted less measured, SI, (n, J); zero where there is no measurement, or no prediction since it diverged."""
+        """Predicted minus measured, SI, (n, J); zero where there is no measurement, or no prediction since it diverged."""
         return np.where(self.used & np.isfinite(self.shown), self.shown - self.measured, 0.0)
 
     @cached_property
     def diverged(self) -> np.ndarray:
-        """Whether an experiment's simulation at θ_MAP is no prediction: it did not converge, or ran away, (n,)."""
+        """Whether the simulation of an experiment at θ_MAP diverged: it did not converge, or is unstable, (n,)."""
         return ~self.converged | (self.used & self._absurd).any(axis=1)
 
     @cached_property
     def shown(self) -> np.ndarray:
-        """`predicted` as it can be drawn: NaN where it diverged, (n, J)."""
+        """`predicted` for figures: NaN where it diverged, (n, J)."""
         return np.where(self.diverged[:, None] | self._absurd, np.nan, self.predicted)
 
     @cached_property
@@ -145,7 +146,7 @@ class Prediction:
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Time since the sample before of the same history [s], infinite where there is none, (n, J)."""
+        """Time since the previous sample of the same history [s], infinite without one, (n, J)."""
         gaps = np.full(self.used.shape, np.inf)
         for row, experiment in enumerate(self.experiments):
             for output in range(len(self.outputs)):
@@ -156,7 +157,7 @@ class Prediction:
         return np.where(self.used & np.pad(self.used[:, :-1], ((0, 0), (1, 0))), gaps, np.inf)
 
     def columns(self, output: str) -> np.ndarray:
-        """Which columns belong to an output, (J,) bool."""
+        """The columns of an output, (J,) bool."""
         return self.groups == self.outputs.index(output)
 
     def histories(self, row: int, output: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -187,7 +188,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     predicted, ok, sigma, plain, corrected, lost = found
     parts = dict(corrected.parts)
     if fit.inflation is not None:
-        # The error of the model widens the band, and is no noise.
+        # The error of the model widens the band, but does not count as noise.
         factors, whole = fit.inflation[posterior.groups], parts["noise"]
         sigma, noise = sigma / factors, whole / factors
         shown = _shown(experiments, measured, used, posterior.groups)
@@ -211,8 +212,9 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
 
 
 def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
-    """Sd of the noise of an output, (n, J): declared; or for histories estimated from what no smooth signal explains, and no more
-    than the inferred error, which holds it."""
+    """Sd of the noise of an output, (n, J): declared; or for histories estimated from the non-smooth part of the
+    record, and at most the inferred error, which includes it.
+    """
     columns = prediction.columns(output)
     sigma = prediction.sigma[:, columns]
     if declared:
@@ -223,7 +225,7 @@ def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarr
 
 
 def _shown(experiments: Sequence[Experiment], measured: np.ndarray, used: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Sd of the noise that each history shows, (n, J); NaN where it shows none."""
+    """Sd of the noise of each history from its record, (n, J); NaN if it cannot be estimated."""
     found = np.full(measured.shape, np.nan)
     for row, experiment in enumerate(experiments):
         for group in np.unique(groups):
@@ -240,12 +242,12 @@ def _shown(experiments: Sequence[Experiment], measured: np.ndarray, used: np.nda
 def learned_misfit(fit: "Fit", fitted: Prediction) -> Prediction:
     """The misfit that a calibrated model expects of itself, without noise, in the form of a measurement.
 
-    Of quantities that is over the distribution of the inputs; of histories, and where the model cannot be simulated at any
-    inputs, in the experiments that were fitted.
+    For quantities it covers the distribution of the inputs. For histories, and if the model cannot be simulated at any
+    inputs, it covers the fitted experiments.
 
     Arguments:
         fit: the calibrated model.
-        fitted: predictions of the experiments that it was fitted to; returned where no discrepancy is learned.
+        fitted: predictions of the experiments that it was fitted to; returned if no discrepancy is learned.
     """
     if fit.discrepancy is None:
         return fitted
@@ -269,7 +271,7 @@ class Shortfall(NamedTuple):
 
     Attributes:
         fitted: the experiments that were fitted.
-        weights: what their standardised residuals are multiplied with to give by how much predictions fall short, (nJ, mJ).
+        weights: matrix from their standardised residuals to the expected error of predictions, (nJ, mJ).
         variance: of that, in units of the error, (n, J).
     """
 
@@ -288,8 +290,8 @@ class ShortfallOfHistories(NamedTuple):
     """The expected error of histories, fitted and new ones, from the residuals of the fitted ones.
 
     Attributes:
-        fitted: 1 in an experiment that was fitted: the sum of what model and discrepancy do is known there, (n, J).
-        mean: by how much the prediction at the MAP falls short, SI, (n, J).
+        fitted: 1 in a fitted experiment: the sum of model and discrepancy is known there, (n, J).
+        mean: expected error of the prediction at the MAP, SI, (n, J).
         variance: of that, SI, (n, J).
     """
 
@@ -317,7 +319,7 @@ def _shortfall(fit: "Fit", data: Data) -> Shortfall | ShortfallOfHistories | Non
 
 
 def _largest(measured: np.ndarray, used: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Largest magnitude measured of each column's output, (J,); infinite where nothing but zeros was measured."""
+    """Largest magnitude measured of each column's output, (J,); infinite if all measured values are zero."""
     largest = np.where(used, np.abs(measured), 0.0).max(axis=0, initial=0.0)
     by_output = np.asarray([largest[groups == group].max(initial=0.0) for group in range(int(groups.max()) + 1)])
     return np.where(by_output > 0, by_output, np.inf)[groups]

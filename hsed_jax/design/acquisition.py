@@ -20,7 +20,7 @@ from hsed_jax.programs import program
 
 @final
 class Restricted(eqx.Module):
-    """Another acquisition among the candidates that may be asked."""
+    """Another acquisition among the allowed candidates."""
 
     acquisition: Acquisition
     closed: Bool[Array, " M"]
@@ -32,7 +32,9 @@ class Restricted(eqx.Module):
 
 @final
 class PerCost(eqx.Module):
-    """Another acquisition over what each candidate costs: of an improvement, that per unit of cost (Snoek et al. 2012)."""
+    """Another acquisition over the cost of each candidate: for an improvement, the improvement per unit of cost (Snoek
+    et al. 2012).
+    """
 
     acquisition: Acquisition
     costs: Float[Array, " M"]
@@ -73,7 +75,7 @@ def choose(
     - `acquisition`: the utilities of the candidates.
     - `key`: for acquisitions that draw; equal keys give equal choices.
 
-    **Returns:** a `Choice`.  Under `jit`, a `log_value` of −∞ says that no candidate was left.
+    **Returns:** a `Choice`.  Under `jit`, a `log_value` of −∞ means that no candidate is left.
 
     **Raises:** `ValueError`, outside `jit`, if no candidate is left.
     """
@@ -89,7 +91,7 @@ def choose(
 @program
 def _choose(kriging, candidates, excluded, excluded_mask, acquisition, key) -> Choice:
     utilities = acquisition(kriging, candidates, key)
-    # A utility that is not a number is a failure of the acquisition, and no reason for an experiment.
+    # A utility that is not a number is a fault of the acquisition; its candidate is not chosen.
     utilities = jnp.where(jnp.isnan(utilities), -jnp.inf, utilities)
 
     def is_repeated(state):

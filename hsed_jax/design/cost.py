@@ -37,12 +37,12 @@ class Cost:
             )
 
     def __call__(self, declared: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
-        """Of experiments by their inputs in declared units."""
+        """Costs of experiments by their inputs in declared units."""
         return self.fixed + declared @ self._rates
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of the cheapest and of the dearest experiment."""
+        """Costs of the cheapest and of the most expensive experiment."""
         ends = self.space.bounds() * self._rates[:, None]
         return float(self.fixed + ends.min(axis=1).sum()), float(self.fixed + ends.max(axis=1).sum())
 

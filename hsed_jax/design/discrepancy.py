@@ -13,8 +13,8 @@ def variance_over(
 ) -> Float[Array, " J"]:
     """Variance of each predicted output over a sample of inputs; diverged simulations do not count.
 
-    Of a history it is the variance over inputs and time, times the number of samples, so that the sum over the samples in the
-    norm is their mean: a history counts like a quantity.
+    For a history it is the variance over inputs and time, times the number of samples. The sum over the samples in the norm
+    is then their mean, so a history counts like a quantity.
 
     Arguments:
         predicted: columns are quantities, or the samples of histories.
@@ -36,15 +36,15 @@ def discrepancy(
     weights: Float[Array, "n J"],
     groups: Int[np.ndarray, " J"],
 ) -> Float[Array, " n"]:
-    """The norm of Eq. 12 per experiment; NaN where nothing was measured.
+    """The norm of Eq. 12 per experiment; NaN without a measurement.
 
-    It is the number of outputs times the mean over those that were measured, of each the mean over its measured samples: what
-    is missing (weight 0) neither adds to the misfit nor makes it smaller.
+    It is the number of outputs times the mean over the measured outputs, each the mean over its measured samples. Missing
+    values (weight 0) therefore neither increase nor decrease the misfit.
 
     Arguments:
         measured, predicted: columns are quantities, or the samples of histories.
         variance: of each column (`variance_over`).
-        weights: of what was measured; 0 where it is missing.
+        weights: of the measurement; 0 where it is missing.
         groups: output of each column.
     """
     members = jnp.asarray(groups[:, None] == np.arange(groups.max() + 1)[None], float)

@@ -1,9 +1,9 @@
 """Do the estimates depend on where a design has tested?
 
-A model that lacks something has other best parameters at other inputs, and a design asks where the model is most wrong.  So its
-estimate is one for the inputs that it asked, and not for all of them.  Counted for the part of the inputs that it stands for
-(those that are nearer to it than to any other experiment, by their distribution), an experiment in a cluster counts for little;
-the estimate is then about that of experiments spread evenly.
+The best parameters of a model that lacks an effect differ over the inputs, and a design tests where the error of the model is
+largest.  Its estimate therefore belongs to the tested inputs, and not to all inputs.  A second estimate weights each
+experiment by the probability of the inputs that are nearest to it. Experiments in a cluster then have small weights, and the
+estimate is approximately that of evenly spread experiments.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ _APART = 2.0
 
 
 def shares(tested: Float[np.ndarray, "n d"], points: Float[np.ndarray, "M d"]) -> Float[np.ndarray, " n"]:
-    """The part of the inputs that each experiment stands for: that of the points to which it is the nearest; 1 in all.
+    """The share of the input space of each experiment: the share of the points to which it is the nearest; the sum is 1.
 
     Arguments:
         tested: in the unit cube.
@@ -33,8 +33,8 @@ class Drift(NamedTuple):
     """The estimate of a design, and that over all inputs.
 
     Attributes:
-        designed: θ_MAP by name, SI, every experiment counted alike.
-        over_inputs: the same, each experiment counted for the part of the inputs that it stands for.
+        designed: θ_MAP by name, SI, with equal weights.
+        over_inputs: the same, weighted by the share of the input space of each experiment.
         sd: of the first.
     """
 
@@ -43,7 +43,7 @@ class Drift(NamedTuple):
     sd: dict[str, float]
 
     def sentence(self, units: Mapping[str, str]) -> str | None:
-        """What is to be said of parameters that differ by more than two standard deviations; None where none does."""
+        """The warning about parameters that differ by more than two standard deviations; None without them."""
         moved = [n for n, sd in self.sd.items() if abs(self.over_inputs[n] - self.designed[n]) > _APART * sd]
         if not moved:
             return None

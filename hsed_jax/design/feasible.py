@@ -1,5 +1,6 @@
-r"""Which inputs may be asked: not those that would break a limit of the specimen, nor those where experiments failed, nor those
-next to an experiment that was made."""
+r"""The allowed inputs of experiments. Excluded are inputs that exceed a limit of the specimen, inputs near failed
+experiments, and inputs next to performed experiments.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -49,14 +50,14 @@ def too_near(
 ) -> Bool[np.ndarray, " M"]:
     r"""Candidates next to an experiment, (M,): within $\tfrac13 N^{-1/d}$ of one, N experiments being planned over d inputs.
 
-    What a nearby experiment would measure is known but for its noise.  Where so few candidates are left that the distance would
-    close all of them it is halved, as often as needed.
+    The measurement of a nearby experiment is already known except for its noise.  If the distance would exclude all remaining
+    candidates, it is halved until one is left.
 
     Arguments:
         candidates: in the unit cube.
         tested: experiments that were made or asked, in the unit cube.
         size: N.
-        closed: candidates that are not to be asked for another reason.
+        closed: candidates that are excluded for another reason.
     """
     from scipy.spatial import KDTree
 
@@ -73,8 +74,8 @@ class Limits:
     """The limits of specimen and actuator.
 
     Attributes:
-        most: largest value allowed, SI, by name of what `respond` gives.
-        probability: of exceeding any of them that is accepted.
+        most: largest allowed value, SI, by name of the outputs that `respond` gives.
+        probability: accepted probability of exceeding any of them.
         respond: from parameters of the model (p,) and a point of the unit cube (d,) to the peaks by name and whether the
             simulation converged.
     """

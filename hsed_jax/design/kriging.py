@@ -1,10 +1,10 @@
-"""Universal Kriging: a Gaussian process around a polynomial trend, fitted to few points without overrating them.
+"""Universal Kriging: a Gaussian process around a polynomial trend, fitted to few points without overconfidence.
 
-A Kriging model reads the response y at an input x as a trend β·f(x) plus a stationary Gaussian process of variance σ²
-and correlation R (Eq. 7 of Abbiati & Marelli, 17WCEE).  Given the correlation lengths and the nugget, everything else
-has a closed form (Eqs. 8-11).  These hyper-parameters are where their posterior is highest: the *restricted* likelihood,
-from which β and σ² have been integrated, times a prior of each.  Maximum likelihood reads a smooth function without
-noise into a few points, and its 90 % bands then hold 70 % of the truth.
+A Kriging model describes the response y at an input x as a trend β·f(x) plus a stationary Gaussian process of variance σ² and
+correlation R (Eq. 7 of Abbiati & Marelli, 17WCEE).  Given the correlation lengths and the nugget, everything else has a
+closed form (Eqs. 8-11).  These hyper-parameters maximise their posterior: the *restricted* likelihood, with β and σ²
+integrated out, times a prior of each.  With few points, maximum likelihood often gives a smooth function without noise, and
+its 90 % bands then contain 70 % of the true values.
 
 Experiments arrive one at a time, so the training set is an array of the planned size and a mask of the rows that hold
 data.  A padded row is an independent, unit-variance unknown with weight zero: the numbers do not depend on the padding,
@@ -36,9 +36,9 @@ _CHUNK = 256
 # Columns of L⁻¹ multiplied together.  It is a lower triangle, so each block of columns starts at its first row; the matrix
 # product is fastest for multiples of five.
 _COLUMNS = 15
-# Log-normal prior of the nugget: median and spread of the logarithm.  With it and that of the lengths 90 % bands hold 85 to
-# 95 % of a Matérn field and of the paper's discrepancy, from 8 to 40 points, with noise and without (tests/test_kriging.py);
-# longer lengths and no nugget must be earned by data.
+# Log-normal prior of the nugget: median and spread of the logarithm.  With it and that of the lengths 90 % bands hold
+# 85 to 95 % of a Matérn field and of the paper's discrepancy, from 8 to 40 points, with noise and without
+# (tests/test_kriging.py); longer lengths and a zero nugget need evidence from the data.
 _NUGGET, _NUGGET_SPREAD = 0.007, 2.0
 # Relative to the responses' own variance, anything smaller is rounding: an exact trend, or constant responses.
 _LEAST_VARIANCE = 1e-24
@@ -58,12 +58,12 @@ def trend_functions(x: Float[Array, "M d"], trend: TrendName) -> Float[Array, "M
 
 @final
 class Kriging(eqx.Module):
-    """A fitted universal Kriging model: everything `predict` needs, and what a report wants to show.
+    """A fitted universal Kriging model: all that `predict` and a report need.
 
-    Shapes: N rows of (padded) training data, d inputs, p trend functions.  Inputs live in the unit cube, `lengths` are
-    in its units; `process_variance` (σ², Eq. 9) and `trend_coefficients` (β, Eq. 8) are in the response's units.
-    `nugget` is relative to σ².  `log_posterior` is that of lengths and nugget (of their logarithms), what `fit_kriging`
-    maximises: restricted likelihood times prior, without constants that depend on the inputs alone.
+    Shapes: N rows of (padded) training data, d inputs, p trend functions.  Inputs live in the unit cube, `lengths` are in its
+    units; `process_variance` (σ², Eq. 9) and `trend_coefficients` (β, Eq. 8) are in the response's units. `nugget` is
+    relative to σ².  `log_posterior` is that of lengths and nugget (of their logarithms), the objective of `fit_kriging`:
+    restricted likelihood times prior, without constants that depend on the inputs alone.
     """
 
     lengths: Float[Array, " d"]
@@ -85,9 +85,9 @@ class Kriging(eqx.Module):
     def predict(self, x: Float[Array, "M d"]) -> tuple[Float[Array, " M"], Float[Array, " M"]]:
         """Mean (Eq. 10) and variance (Eq. 11) of the response at new points, in chunks of bounded memory.
 
-        The variance is that of the underlying response, without the nugget's scatter, and includes the uncertainty of
-        the trend, σ²uᵀ(FᵀR⁻¹F)⁻¹u.  σ² is estimated and not known, so the prediction is a Student t of N − p degrees of
-        freedom and its variance N/(N − p − 2) times that of Eq. 11 (N/1 where there are so few that it has none).
+        The variance is that of the underlying response, without the nugget's scatter, and includes the uncertainty of the
+        trend, σ²uᵀ(FᵀR⁻¹F)⁻¹u.  σ² is estimated and not known, so the prediction is a Student t of N − p degrees of freedom
+        and its variance N/(N − p − 2) times that of Eq. 11 (N/1 if N − p − 2 is not positive).
 
         **Arguments:** `x`: points in the unit cube, (M, d).
 
@@ -95,7 +95,7 @@ class Kriging(eqx.Module):
         """
         points = x.shape[0]
         size = min(_CHUNK, points)
-        # One input after the other, so that the correlations of a block read them as they lie.
+        # One input after the other, in the order of their storage.
         coordinates = jnp.pad(x.T, ((0, 0), (0, -points % size)), mode="edge")
 
         def at(first: Int[Array, ""]) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
@@ -125,7 +125,9 @@ class Kriging(eqx.Module):
 
     @property
     def degrees(self) -> Float[Array, ""]:
-        """Degrees of freedom of the Student t of a prediction, N − p; of fewer than two, whose mean may not exist, two."""
+        """Degrees of freedom of the Student t of a prediction, N − p, and at least two, because its mean may not exist
+        below two.
+        """
         return jnp.maximum(jnp.sum(self.mask) - self.trend_whitening.shape[0], 2.0)
 
     @property
@@ -137,7 +139,7 @@ class Kriging(eqx.Module):
     def tested_means(self) -> Float[Array, " N"]:
         """Kriging mean at each training point, Eq. 10 (padded rows: −∞, so that a maximum passes over them).
 
-        There R⁻¹r is a unit vector short of the nugget's share, hence Y − (nugget)R⁻¹(Y − Fβ).
+        There R⁻¹r is a unit vector minus the share of the nugget, which gives Y − (nugget)R⁻¹(Y − Fβ).
         """
         return jnp.where(self.mask, self.responses - self.nugget * self.weights, -jnp.inf)
 
@@ -187,7 +189,7 @@ def condition(
         lengths=lengths,
         nugget=nugget,
         process_variance=scale**2 * parts.variance,
-        # The constant is the first trend function: it takes back what was subtracted from the responses.
+        # The constant is the first trend function: the subtracted mean of the responses is added to it.
         trend_coefficients=(scale * parts.coefficients).at[0].add(centre),
         log_posterior=_log_prior(jnp.log(lengths), jnp.log(nugget)) - objective,
         inputs=inputs,
@@ -290,7 +292,7 @@ def _likeliest(
 
 @final
 class _Parts(eqx.Module):
-    """What the restricted likelihood computes on its way."""
+    """Intermediate results of the restricted likelihood."""
 
     variance: Float[Array, ""]
     coefficients: Float[Array, " p"]
@@ -342,7 +344,7 @@ _restricted_objective.defvjp(_objective_forward, _objective_backward)
 
 
 def _masked_correlation(x, mask, lengths, nugget, kernel) -> Float[Array, "N N"]:
-    """R with the nugget on its diagonal, and rows of the identity where there are no data."""
+    """R with the nugget on its diagonal, and rows of the identity without data."""
     matrix = jnp.where(mask[:, None] & mask, correlation(x, x, lengths, kernel), 0.0)
     return matrix + jnp.diag(jnp.where(mask, nugget, 1.0))
 
@@ -372,7 +374,7 @@ def _check_training_set(inputs: np.ndarray, responses: np.ndarray, mask: np.ndar
     x, y = inputs[mask], responses[mask]
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise ValueError("Arguments `inputs` and `responses` must be finite where `mask` is true, but are not.")
-    # Of all rows: an array that grew with the data would be compiled anew at each step.
+    # For all rows: an array that grows with the data would need a new compilation at each step.
     functions = np.asarray(trend_functions(jnp.asarray(inputs), trend))[mask]
     n, p = functions.shape
     if n < p + 1:

@@ -1,7 +1,8 @@
-"""What a study is over the space of its inputs, as tables: what drives its experiments, how specimen and model answer, what one
-experiment alone would tell, and the discrepancy that the design believes in.
+"""Tables of a study over the space of its inputs: the excitation of the experiments, the responses of specimen and model, the
+estimate from one experiment alone, and the surrogate of the discrepancy.
 
-Every table is an `xarray.Dataset` whose variables say their units and what they are; the run stores them, figures draw them.
+Every table is an `xarray.Dataset` whose variables have their units and meanings as attributes; the run stores them, and
+figures draw them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -94,7 +95,7 @@ def responses(
         parameters: by name, SI.
         space: of its inputs.
         cube: the points, in the unit cube.
-        channels: histories to keep; those that the model does not give are left out.
+        channels: histories to keep; those that the model does not have are left out.
         pair: that the specimens are measured in.
 
     Returns:
@@ -149,9 +150,9 @@ def estimates_alone(design: SequentialDesign, laboratory: VirtualLaboratory, uni
 @program
 def _estimates(posterior: Posterior, experiments: Data, starts: Float[Array, "s p"]) -> Float[Array, "m p"]:
     """The MAP of each of m experiments by itself."""
-    import optimistix as optx  # here: who draws no figures does not wait for it
+    import optimistix as optx  # imported here, because only figures need it
 
-    # Three digits make a contour, and no evidence or covariance: this costs a tenth of `maximise`.
+    # A contour needs only three digits, without evidence and covariance: this costs a tenth of `maximise`.
     def descend(data: Data, start: Array) -> tuple[Array, Array]:
         solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-5)
         end = optx.least_squares(

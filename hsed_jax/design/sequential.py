@@ -1,11 +1,11 @@
 r"""Sequential experimental design (Abbiati & Marelli, section 2.3) as pure `init`, `ask`, `tell`.
 
-`ask` is Steps 2 to 6: calibrate on what has been measured, form the discrepancy norm, fit its Kriging, and take the candidate
-that maximises the acquisition.  Whoever performs the experiment (Step 7) answers with `tell`.  Loop, files and progress live
-elsewhere.  Arrays have the planned size from the start, so every step runs the programs of the first.
+`ask` is Steps 2 to 6: calibrate on the measured experiments, compute the discrepancy norm, fit its Kriging, and choose the
+candidate that maximises the acquisition.  The laboratory that performs the experiment (Step 7) answers with `tell`.  Loop,
+files and progress live elsewhere.  Arrays have the planned size from the start, so every step runs the programs of the first.
 
-Experiments that are asked and not yet measured are pending: their inputs are not asked again, and the surrogate believes its own
-mean there (the Kriging believer of Ginsbourger, Le Riche & Carraro 2010), so that several can be out at once.
+Requested experiments without measurements are pending. Their inputs are not requested again, and the surrogate uses its own
+mean there (the Kriging believer of Ginsbourger, Le Riche & Carraro 2010), so that several experiments can be pending.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ from hsed_jax.inference.sampling import draw
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.programs import program
 
-# Inputs that stand for the whole space in the variance of Eq. 12.
+# Number of inputs that represent the whole space in the variance of Eq. 12.
 _SPREAD = 256
 
 
@@ -45,7 +45,7 @@ class Trial(NamedTuple):
     """An experiment of a design.
 
     Attributes:
-        point: its inputs, as tested where that is known, else as asked.
+        point: its inputs: as tested if known, otherwise as requested.
         outputs: what was measured, SI, (J,); NaN where missing or not yet measured.
         status: as of an `Experiment`.
     """
@@ -57,12 +57,12 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True)
 class DesignState:
-    """All that the next step needs.
+    """The state that the next step needs.
 
     Attributes:
-        trials: the experiments that were asked or told, in that order.
+        trials: the requested or reported experiments, in that order.
         theta: last MAP in unconstrained coordinates, a start of the next; None before the first.
-        step_size: of NUTS, to go on from.
+        step_size: of NUTS, for the next step.
     """
 
     trials: tuple[Trial, ...] = ()
@@ -81,20 +81,20 @@ class DesignState:
 
     @property
     def is_measured(self) -> np.ndarray:
-        """Which trials gave something, (n,); one that failed is tested but says nothing of the discrepancy."""
+        """The trials with results, (n,); a failed trial is tested but has no discrepancy."""
         return np.asarray([np.isfinite(trial.outputs).any() for trial in self.trials], dtype=bool)
 
 
 class StepInfo(NamedTuple):
-    """What one step found, for reports: nothing of it is needed to go on.
+    """Results of one step for reports; the next step does not need them.
 
     Attributes:
         maximum: MAP, covariance, evidence.
         chains: the posterior's draws.
-        convergence: whether to believe them.
+        convergence: their diagnostics.
         discrepancy: Eq. 12 at the tested inputs, (count,); NaN where the model diverged or nothing was measured.
         kriging: the surrogate of it.
-        value: the acquisition at the chosen input (expected improvement, if that is the acquisition), over what it costs.
+        value: the acquisition at the chosen input (expected improvement, if that is the acquisition), divided by the cost.
         expected_improvement: the largest expected improvement over the candidates (Eq. 14).
         chosen: next input in the unit cube, (d,).
     """
@@ -117,7 +117,7 @@ class SequentialDesign:
         posterior: of the study.
         space: of the inputs.
         size: planned number of experiments, initial ones included.
-        gaps: of the columns, time since the sample before of the same history [s], (J,).
+        gaps: of the columns, time since the previous sample of the same history [s], (J,).
         settings: of the sample at each step.
         starts: of the MAP.
         candidates: size of the candidate set.
@@ -126,8 +126,8 @@ class SequentialDesign:
         variance_over_parameters: take the variance of Eq. 12 over the posterior of θ, too.
         seed: of the candidate set.
         exceeding: which candidates (M, d) exceed a limit of the specimen, from draws of the posterior (n, p): (M,) bool.
-        cost: of experiments; what is to be gained counts over it.
-        replicates: whether inputs may be asked that were asked already, or next to them.
+        cost: of experiments; the acquisition is divided by it.
+        replicates: whether inputs of earlier experiments, or inputs next to them, may be requested.
     """
 
     posterior: Posterior
@@ -157,13 +157,13 @@ class SequentialDesign:
         status: str | None = None,
         row: int | None = None,
     ) -> DesignState:
-        """Add an experiment, or say what became of one that is there.
+        """Add an experiment, or the result of an existing one.
 
         Arguments:
             cube: its inputs in the unit cube, (d,); they may differ from those that were asked.
             outputs: measured outputs, SI, (J,); NaN where missing.
             status: `completed`, `pending`, `failed` or `abandoned`; by default whether there is an output.
-            row: of the experiment, where it is there already.
+            row: of the experiment, if it already exists.
         """
         i, values = len(state.trials) if row is None else row, np.asarray(outputs, dtype=float)
         status = status or ("completed" if np.isfinite(values).any() else "failed")
@@ -171,7 +171,9 @@ class SequentialDesign:
         return replace(state, trials=(*state.trials[:i], trial, *state.trials[i + 1 :]))
 
     def size_of(self, state: DesignState) -> int:
-        """Rows of the arrays: as planned, and twice as many as often as more were told; each doubling compiles anew."""
+        """Rows of the arrays: the planned number, doubled until all reported experiments have room; each doubling needs
+        a new compilation.
+        """
         size = self.size
         while size < len(state.trials):
             size *= 2
@@ -192,12 +194,12 @@ class SequentialDesign:
     def ask(
         self, state: DesignState, key: PRNGKeyArray, acquisition: Acquisition | None = None
     ) -> tuple[np.ndarray, DesignState, StepInfo]:
-        """Steps 2 to 6: the next input in the unit cube (d,), the state to go on from, and what was found.
+        """Steps 2 to 6: the next input in the unit cube (d,), the next state, and the results.
 
         Arguments:
             state: the experiments so far.
             key: of the random numbers.
-            acquisition: what to choose by; by default the one named `acquisition`.
+            acquisition: the criterion; by default the one named `acquisition`.
 
         Raises:
             UserError: too many experiments failed for a Kriging of the others.
@@ -265,7 +267,7 @@ class SequentialDesign:
         return self._conditioned(state, believed, pending, kriging.lengths, kriging.nugget)
 
     def _closed(self, state: DesignState, draws: Float[Array, "c s p"]) -> np.ndarray | None:
-        """Candidates that are not to be asked, (M,); None where all may be.
+        """Excluded candidates, (M,); None if all are allowed.
 
         Raises:
             UserError: none is left.
@@ -284,7 +286,7 @@ class SequentialDesign:
         return closed if closed.any() else None
 
     def drift(self, state: DesignState) -> Drift:
-        """How far the estimates of these experiments are from those of experiments spread evenly over the inputs."""
+        """The difference between the estimates of these experiments and those of experiments spread evenly over the inputs."""
         data, used = self.data(state), state.is_measured
         weights = np.zeros(len(data.values))
         of_each = shares(state.cube[used], np.asarray(self.candidate_set))
@@ -316,10 +318,10 @@ class SequentialDesign:
             )
 
     def surrogate(self, state: DesignState, norms: Sequence[float], lengths: Sequence[float], nugget: float) -> Kriging:
-        """The Kriging of a step again, from what the journal keeps of it.
+        """The Kriging of a step, from its entry in the journal.
 
         Arguments:
-            norms: discrepancies the step found, (count then,); NaN where there is none.
+            norms: discrepancies of the step, (count then,); NaN without one.
             lengths, nugget: hyper-parameters of its Kriging.
         """
         responses = np.full(self.size_of(state), np.nan)
@@ -330,14 +332,14 @@ class SequentialDesign:
     def _conditioned(
         self, state: DesignState, responses: np.ndarray, more: np.ndarray, lengths: Array, nugget: Array
     ) -> Kriging:
-        """Kriging of known hyper-parameters on what was measured, and on `more` rows."""
+        """Kriging with known hyper-parameters on the measured experiments, and on `more` rows."""
         mask = (self._rows(state, state.is_measured) | more) & np.isfinite(responses)
         options = {name: value for name, value in self.kriging.items() if name != "starts"}
         known = jax.device_put((self._cube(state), np.where(mask, responses, 0.0), mask))
         return condition(*known, lengths=lengths, nugget=nugget, **options)
 
     def starting_points(self, state: DesignState) -> Float[np.ndarray, "s p"]:
-        """Where the MAP starts: spread over the prior, and the last MAP instead of the first of them."""
+        """Starts of the search for the MAP: spread over the prior, with the last MAP instead of the first of them."""
         points = np.array(self._starts)
         if state.theta is not None:
             points[0] = state.theta
@@ -365,14 +367,14 @@ class SequentialDesign:
 
     @cached_property
     def _spread(self) -> Conditions:
-        """Inputs over the whole space, that the variance in Eq. 12 is taken over."""
+        """Inputs over the whole space, for the variance in Eq. 12."""
         inputs = self.space.si(self.space.declared(self.space.spread(_SPREAD)))
         return Conditions(jax.device_put(inputs))
 
 
 @program
 def _discrepancies(posterior, data, theta, thetas, spread):
-    # One batch for the whole space and what was tested: a simulation is most of what there is to compile.
+    # One batch for the whole space and the tested inputs: the simulation is most of the compilation.
     number, tested = len(thetas) * _SPREAD, len(data.values)
     over = jnp.repeat(jax.vmap(posterior.of_model)(thetas), _SPREAD, axis=0)
     at = jnp.concatenate([over, jnp.tile(posterior.of_model(theta), (tested, 1))])
@@ -381,5 +383,5 @@ def _discrepancies(posterior, data, theta, thetas, spread):
     here, ok = predicted[number:], good[number:]
     variance = variance_over(predicted[:number], good[:number], posterior.groups)
     norms = discrepancy(data.values, here, variance, data.weights, posterior.groups)
-    # Where the model diverged there is no discrepancy, which is not the same as none.
+    # A diverged model has an unknown discrepancy, not a zero one.
     return jnp.where(ok > 0, norms, jnp.nan)

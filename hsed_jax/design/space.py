@@ -37,7 +37,7 @@ class InputSpace:
     Attributes:
         priors: distribution by name, in the declared unit.
         units: declared unit by name.
-        factors: what one declared unit is in SI, by name.
+        factors: one declared unit in SI, by name.
     """
 
     priors: Mapping[str, Prior]
@@ -72,7 +72,7 @@ class InputSpace:
         """Inputs by name, in their declared units, with their point of the unit cube.
 
         Raises:
-            UserError: they are not the inputs of this space, or lie outside.
+            UserError: they are not the inputs of this space, or are outside.
         """
         if declared.keys() != set(self.names):
             raise UserError(f"its inputs are {', '.join(self.names)}; given are {', '.join(declared)}")
@@ -105,7 +105,7 @@ class InputSpace:
         return jax.device_put({name: values[0] for name, values in si.items()})
 
     def bounds(self) -> np.ndarray:
-        """What the design may reach, in declared units, shape (d, 2)."""
+        """The range of the design, in declared units, shape (d, 2)."""
         d = len(self.names)
         low, high = self.declared(np.array([np.full(d, 1e-9), np.full(d, 1 - 1e-9)]))
         digits = 6 - np.floor(np.log10(high - low)).astype(int)

@@ -1,19 +1,19 @@
-"""When a design has learned enough: rules on what its steps found, each with the reason it gives."""
+"""Rules that stop a design, from the results of its steps; each rule has the name of its reason."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-_STABLE_FOR = 3  # steps in a row
+_STABLE_FOR = 3  # consecutive steps
 
 
 class StopRules(NamedTuple):
-    """Rules that end a design before its budget does; None: not asked for.
+    """Rules that end a design before its iterations are used up; None: not requested.
 
     Attributes:
         expected_improvement: stop when the largest expected improvement falls below this.
         stable_map: stop when no parameter of θ_MAP moved by more than this share of itself over three steps.
         posterior_width: stop when the 90 % interval of every parameter is narrower than this share of its mean.
-        verdict: stop when the diagnosis names what is missing.
+        verdict: stop when the diagnosis names a missing effect.
     """
 
     expected_improvement: float | None = None
@@ -26,8 +26,8 @@ def stop_reason(rules: StopRules, steps: Sequence[dict[str, Any]]) -> str | None
     """The name of the rule that is met by the last step, or None.
 
     Arguments:
-        rules: those asked for.
-        steps: what each step found, as in the journal.
+        rules: the requested ones.
+        steps: the results of each step, as in the journal.
     """
     if not steps:
         return None

@@ -1,1 +1,1 @@
-"""What the catalogue does not hold: free functions at places of the specimen, and the formulas that they turn out to be."""
+"""Effects that are not in the catalogue: free functions at places of the specimen, and their formulas."""

@@ -1,4 +1,4 @@
-"""A formula, or a curve that no formula is, as a Python file with an effect of a user's own: complete, to be read and changed."""
+"""A formula, or a curve without a formula, as a complete Python file with an effect, which the user can read and change."""
 
 import json
 import math
@@ -78,7 +78,7 @@ def source_of(formula: Formula, reaches: Sequence[tuple[float, float]], name: st
         name: of the effect.
     """
     place = formula.place
-    # What it contributes is of order one, whatever the size of the shapes.
+    # Its contribution is of order one, for any size of the shapes.
     ends = [np.linspace(low, high, _POINTS) for low, high in reaches]
     largest = math.prod(
         float(np.abs(term.shape.at(x, term.numbers)).max()) for term, x in zip(formula.terms, ends, strict=True)
@@ -107,7 +107,7 @@ def source_of(formula: Formula, reaches: Sequence[tuple[float, float]], name: st
 
 
 def source_of_curve(place: Place, reaches: Sequence[tuple[float, float]], coefficients: np.ndarray, name: str) -> str:
-    """The file of a curve as it is.
+    """The file of a curve.
 
     Arguments:
         place: of the function.

@@ -1,4 +1,4 @@
-"""What was learned that the catalogue does not hold, and how it shows itself."""
+"""The learned effect that is not in the catalogue, and its display."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.tables import Table, Tabular, cell
 
 EFFECT = "learned_effect"
-"""Name of what is learned first."""
+"""Name of the first learned effect."""
 _POINTS = 101
 # Standard deviations on both sides hold 90 %.
 _90 = 1.6448536
@@ -30,7 +30,7 @@ class Tried:
 
     Attributes:
         place: the place.
-        log_evidence_gain: over the model as it is.
+        log_evidence_gain: over the first model.
         probability: among all that were fitted.
         error_train: normalised error with the function there.
     """
@@ -46,9 +46,9 @@ class Line(NamedTuple):
 
     Attributes:
         x: the coordinate, (n,).
-        at: value of the second one; None where there is none.
+        at: value of the second one; None without one.
         mean, low, high: of the Gaussian process, with its 90 % band: a force [N], or a factor, (n,).
-        formula: the same of the formula; None where there is none.
+        formula: the same of the formula; None without one.
     """
 
     x: Float[np.ndarray, " n"]
@@ -68,7 +68,7 @@ class Curve:
         reaches: of the coordinates, dimensionless.
         coefficients: of its polynomials, (m,).
         covariance: of these, (m, m).
-        formula: that it was found to be; None where it is a curve.
+        formula: of the function; None for a curve.
     """
 
     place: Place
@@ -90,7 +90,7 @@ class Curve:
         return columns @ self.coefficients, np.sqrt(np.sum((columns @ self.covariance) * columns, axis=1))
 
     def value(self, *x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """What is contributed at dimensionless coordinates: over F_c, or a factor."""
+        """The contribution at dimensionless coordinates: over F_c, or a factor."""
         if self.formula is None:
             mean, _ = self.smooth(*x)
             return mean if self.place.slot == "force" else np.exp(mean)
@@ -100,16 +100,16 @@ class Curve:
 
 @dataclass(frozen=True, repr=False)
 class Discovery(Tabular):
-    """What was learned.
+    """The result of a discovery.
 
     Attributes:
-        found: whether anything was.
-        reason: why nothing was, in a sentence; empty where something was.
-        place: where it is; None where nothing was found.
-        formula: what it is, in a line.
-        probability: of the place among those that were fitted.
+        found: whether an effect was learned.
+        reason: the reason if nothing was learned, in a sentence; otherwise empty.
+        place: the place; None if nothing was learned.
+        formula: in one line.
+        probability: of the place among the fitted ones.
         error: normalised errors (train, test) before it.
-        error_train, error_test: after; test: of experiments that were not used, else of those left out in turn.
+        error_train, error_test: after; test: of held-out experiments, otherwise of those left out in turn.
         noise_floor: of the training experiments.
         ranking: the places that were fitted, the most probable first.
         curve: the function.
@@ -117,7 +117,7 @@ class Discovery(Tabular):
         scales: characteristic values that make coordinates dimensionless.
         effect: its name.
         effects, forms: of the catalogue, that it stands beside.
-        notes: what a reader should know.
+        notes: limits of the result.
     """
 
     found: bool
@@ -145,7 +145,7 @@ class Discovery(Tabular):
 
     @property
     def reach(self) -> dict[str, tuple[float, float]]:
-        """How far the coordinates reach, SI, by name."""
+        """The ranges of the coordinates, SI, by name."""
         if self.place is None or self.curve is None:
             return {}
         scales = {name: float(COORDINATES[name].scale(self.scales)) for name in self.place.of}
@@ -155,7 +155,7 @@ class Discovery(Tabular):
         }
 
     def value(self, coordinates: Mapping[str, np.ndarray]) -> np.ndarray:
-        """What is contributed at coordinates by name, SI: a force [N], or a factor."""
+        """The contribution at coordinates by name, SI: a force [N], or a factor."""
         assert self.place is not None
         assert self.curve is not None
         x = [np.asarray(coordinates[n], float) / float(COORDINATES[n].scale(self.scales)) for n in self.place.of]
@@ -195,7 +195,7 @@ class Discovery(Tabular):
 
     @property
     def sentence(self) -> str:
-        """What was found, in words."""
+        """The result, in words."""
         if not self.found:
             return f"nothing was learned: {self.reason}"
         assert self.place is not None

@@ -1,4 +1,4 @@
-"""Formulas fitted inside the simulation: each as the effect that its file would be, the choice by the evidence of the data."""
+"""Formulas fitted inside the simulation: each as the effect of its file; the evidence of the data chooses one."""
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -43,8 +43,8 @@ class FormulaFits:
         tried: the formulas.
         reaches: of their coordinates.
         problem_of: makes the problem with these effects as candidates.
-        target: what is fitted.
-        law: parameters of the model as it is, by name, SI.
+        target: the fitted data.
+        law: parameters of the first model, by name, SI.
     """
 
     def __init__(
@@ -70,11 +70,11 @@ class FormulaFits:
 
     @property
     def best(self) -> FittedFormula | None:
-        """The formula of most evidence; None where none could be simulated."""
+        """The formula with the largest evidence; None if no formula could be simulated."""
         return max(self._fitted, key=lambda one: one.log_evidence, default=None)
 
     def held_out_error(self, one: FittedFormula) -> HeldOutError:
-        """What the model with a formula predicts of what was not used."""
+        """The predictions of held-out data by the model with a formula."""
         plain = Task(self._models.submodel(self.problem.law), self._models.point(self._law))
         base = self._models.fit(self._target, [plain])[0]
         return held_out_error(self.problem, self._target, (one.models, one.fit), (self._models, base))
@@ -113,7 +113,7 @@ def _values(formula: Formula) -> list[float]:
 
 
 def _effects(tried: Sequence[Formula], reaches: Sequence[tuple[float, float]]) -> list[type[AbstractEffect]]:
-    """Formulas as the effects that their files make."""
+    """Formulas as the effects of their files."""
     with tempfile.TemporaryDirectory() as folder:
         found = []
         for number, formula in enumerate(tried):

@@ -1,8 +1,8 @@
-r"""From a curve to formulas: those of the grammar that a fitted function may be, by their error against their size.
+r"""From a curve to formulas: formulas of the grammar for a fitted function, by their error and their size.
 
-Around its fit a function has the misfit $\tfrac12(c-\hat c)^\top G(c-\hat c)$, with the parameters of the law adjusted, so that a
-formula costs what the *data* say that it costs, and nothing for what the law could do in its place.  What is chosen among them is
-not decided here: each is fitted inside the simulation.
+Around its fit a function has the misfit $\tfrac12(c-\hat c)^\top G(c-\hat c)$, with the parameters of the law adjusted. The
+*data* therefore determine the cost of a formula, and a difference that the law can compensate has no cost.  The choice among
+them comes later: each is fitted inside the simulation.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,14 +16,14 @@ from scipy.optimize import minimize_scalar
 from hsed_jax.discovery.grammar import OF_DIRECTION, SHAPES, Shape
 from hsed_jax.discovery.places import Place
 
-# Nats that a number in a formula must be worth, and a shape.
+# Cost [nats] of a number in a formula, and of a shape.
 _NUMBER, _SHAPE = 4.0, 1.0
-# Of products only those of shapes that are among so many alone, by coordinate, are tried.
+# Products are tried only for the best shapes of each coordinate alone; this is their number.
 _PRODUCTS = 160
 _NODES = 96
-# A factor 1 + a s leaves neither of these.
+# Limits of a factor 1 + a s.
 LEAST, MOST = 0.02, 50.0
-# Sizes that a factor 1 + a s is tried with, over the largest |s|.
+# Trial sizes of a factor 1 + a s, over the largest |s|.
 _SIZES = (-0.9, -0.7, -0.5, -0.3, -0.15, 0.15, 0.3, 0.6, 1.0, 2.0, 4.0, 8.0)
 
 
@@ -41,10 +41,10 @@ class Formula:
     Attributes:
         place: where it is.
         terms: a shape for every coordinate, whose product it is.
-        size: what that is multiplied by: over F_c; of a factor, `form` says how it comes in.
+        size: factor of the product, over F_c; for a factor, `form` determines its use.
         form: `force`: the addend F_c a s; `exponential`: the factor e^{a s}; `linear`: the factor 1 + a s; `reciprocal`:
             1/(1 + a s).
-        cost: nats by which it fits worse than the curve, and what its numbers must be worth.
+        cost: loss against the curve [nats], plus the cost of its numbers.
     """
 
     place: Place
@@ -54,7 +54,7 @@ class Formula:
     cost: float
 
     def value(self, *x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """What it contributes at dimensionless coordinates: over F_c, or a factor."""
+        """Its contribution at dimensionless coordinates: over F_c, or a factor."""
         product = self.size * np.prod([t.shape.at(v, t.numbers) for t, v in zip(self.terms, x, strict=True)], axis=0)
         if self.form == "exponential":
             return np.exp(product)
@@ -72,13 +72,13 @@ def formulas(
     strength: Float[np.ndarray, "m m"],
     count: int,
 ) -> list[Formula]:
-    """The formulas that a fitted function may be, the most likely first, no two of the same shapes.
+    """The possible formulas of a fitted function, the most likely first, each with different shapes.
 
     Arguments:
         place: of the function.
         reaches: of its coordinates, dimensionless.
         curve: its coefficients.
-        strength: G, what they are held by.
+        strength: G, their information matrix.
         count: how many.
     """
     grids = [_Grid(reach, of) for reach, of in zip(reaches, place.of, strict=True)]
@@ -108,7 +108,7 @@ class _Grid:
         shapes = OF_DIRECTION if name == "direction" else SHAPES
         terms = [Term(shape, numbers) for shape in shapes for numbers in shape.tried(low, high)]
         every = np.stack([term.shape.at(self.x, term.numbers) for term in terms])
-        # Where a coordinate is never negative, |x| is x.
+        # For a coordinate that is never negative, |x| is x.
         _, first = np.unique(np.round(every, 12), axis=0, return_index=True)
         self.terms = [terms[k] for k in np.sort(first)]
         self.values = every[np.sort(first)]
@@ -131,7 +131,7 @@ def _products(
     for i, row in enumerate(one):
         along = (row * two) @ lower
         gains[i] = (along @ white) ** 2 / np.maximum(np.sum(along**2, axis=1), 1e-300)
-    # Of every pair of shapes the numbers that fit best, and the best pairs.
+    # The best numbers of every pair of shapes, and the best pairs.
     best: dict[tuple[int, int], tuple[float, int, int]] = {}
     for flat in np.argsort(-gains, axis=None)[: 40 * _PRODUCTS]:
         i, j = np.unravel_index(flat, gains.shape)
@@ -144,7 +144,7 @@ def _products(
 def _forms(
     place: Place, grids: Sequence[_Grid], values: Sequence[np.ndarray], lower: np.ndarray, curve: np.ndarray
 ) -> Iterator[tuple[str, float, np.ndarray]]:
-    """How a term may come in, at which size, and the coefficients that it has then."""
+    """The ways in which a term may enter, with its size and the coefficients."""
     shape = values[0] if len(values) == 1 else np.multiply.outer(values[0], values[1])
     plain = _coefficients(place, grids, shape)
     along = lower.T @ plain

@@ -1,4 +1,4 @@
-"""The small grammar that curves are written in: shapes of one coordinate, with the numbers that they have."""
+"""The small grammar of the formulas: shapes of one coordinate, with their numbers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Shape:
         code: Python, of `{x}` and the symbols of its numbers in braces.
         latex: the same in LaTeX.
         text: the same in plain words of mathematics.
-        numbers: what it has besides x.
+        numbers: its further arguments.
     """
 
     code: str
@@ -44,7 +44,7 @@ class Shape:
     def at(self, x: Float[np.ndarray, " n"], numbers: tuple[float, ...]) -> Float[np.ndarray, " n"]:
         """Its values."""
         known = {number.symbol: repr(float(value)) for number, value in zip(self.numbers, numbers, strict=True)}
-        # Our own words, and the one place where they stand: the file of an effect has the same.
+        # The texts are defined only here; the file of an effect has the same.
         value = eval(self.code.format(x="x", **known), {"jnp": np, "x": x})
         return np.broadcast_to(np.asarray(value, dtype=float), x.shape)
 
@@ -129,4 +129,4 @@ SHAPES = (
 )  # fmt: skip
 """The simplest first."""
 OF_DIRECTION = SHAPES[:2]
-"""What there is of a direction, which has two values."""
+"""The shapes of a direction, which has two values."""

@@ -1,4 +1,4 @@
-"""Places where a specimen may do what no effect of the catalogue does: a slot of its law, and what that depends on."""
+"""Possible places of an unlisted effect: a slot of the law, and its coordinates."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -17,7 +17,7 @@ WORDS = {
     "h": "a factor on the tangent of the loop",
 }
 """Slots in words."""
-# Times in which what fades does so, over u_c/v_c: a quarter of a cycle takes about one.
+# Time constants of fading coordinates, over u_c/v_c: a quarter of a cycle takes about one.
 FADES = (0.7, 2.5, 9.0)
 _ALONE = tuple(name for name in COORDINATES if name != "direction")
 _IN_FORCE = (
@@ -39,12 +39,12 @@ _IN_FACTOR = (
 
 
 class Place(NamedTuple):
-    """Where a free function is.
+    """The place of a free function.
 
     Attributes:
         slot: of the law, or `force` beside it.
         of: its coordinates, one or two (`hsed_jax.physics.effects.coordinates`).
-        fade: time in which what fades does so, over u_c/v_c; one where nothing does.
+        fade: time constant of a fading coordinate, over u_c/v_c; one without it.
     """
 
     slot: str
@@ -61,7 +61,7 @@ class Place(NamedTuple):
         """The degrees of the polynomials that its function has in either coordinate."""
         if len(self.of) == 1:
             return [(m, n) for m, n in DEGREES if n == 0]
-        # Of a direction there are two values.
+        # A direction has two values.
         if self.of[1] == "direction":
             return [(m, n) for m, n in DEGREES if n < 2]
         return [(m, n) for m, n in DEGREES if m < COUNTS[-1]]
@@ -72,7 +72,7 @@ class Place(NamedTuple):
         return any(COORDINATES[name].fades for name in self.of)
 
     def held(self, reaches: Sequence[tuple[float, float]]) -> dict[str, float]:
-        """What tells the free function that it is here, by the names of its parameters; from the reach of each coordinate."""
+        """The parameters that put the free function at this place, by name; from the range of each coordinate."""
         found = {f"in_{self.slot}": 1.0, "fade": self.fade}
         for number, (name, (low, high)) in enumerate(zip(self.of, reaches, strict=True), 1):
             ends = {f"middle_{number}": 0.5 * (low + high), f"half_{number}": 0.5 * (high - low)}
@@ -81,7 +81,7 @@ class Place(NamedTuple):
 
 
 def places(slots: Iterable[str], has_time: bool) -> list[Place]:
-    """The places of a law with these slots; without a time scale those that need none."""
+    """The places of a law with these slots; without a time scale only those that do not need it."""
     found = []
     for slot in (slot for slot in SLOTS if slot in slots):
         pairs = _IN_FORCE if slot == "force" else _IN_FACTOR
@@ -94,7 +94,7 @@ def places(slots: Iterable[str], has_time: bool) -> list[Place]:
 
 
 class Motion(NamedTuple):
-    """What a specimen went through in an experiment: time [s], elongation [m], its rate [m/s] and force [N], (T,) each."""
+    """The motion of a specimen in an experiment: time [s], elongation [m], its rate [m/s] and force [N], (T,) each."""
 
     time: Float[np.ndarray, " T"]
     elongation: Float[np.ndarray, " T"]
@@ -120,7 +120,7 @@ def values(name: str, fade: float, motion: Motion, scales: Scales) -> Float[np.n
     if name == "since_reversal":
         return _since_reversal(u) / scales.elongation
     if name in ("recent_path", "lagged_elongation"):
-        from scipy.signal import lfilter  # here: it takes half a second to load, and few have a use for it
+        from scipy.signal import lfilter  # imported here: it takes half a second to load, and is rarely needed
 
         fed = np.abs(along) if name == "recent_path" else pace * u
         return np.asarray(lfilter([1.0], [1.0, -(1.0 - min(pace, 1.0))], fed)) / scales.elongation
@@ -143,10 +143,10 @@ def _since_reversal(u: np.ndarray) -> np.ndarray:
 
 
 class Reaches:
-    """How far coordinates reach over several motions, dimensionless.
+    """Ranges of coordinates over several motions, dimensionless.
 
     Arguments:
-        motions: what a specimen went through.
+        motions: of a specimen.
         scales: characteristic values.
     """
 

@@ -1,13 +1,13 @@
 r"""The predicted gain of free functions beside a fitted model: the evidence of a Gaussian process at every place, in closed
 form.
 
-To first order the coefficients c of a function move the standardised outputs along their slopes J.  With M what remains after the
-parameters of the model have adjusted, and c normal with deviations S, the log evidence that the function gains is
+To first order the coefficients c of a function move the standardised outputs along their slopes J.  Let M be the projection
+by which the parameters of the model adjust, and c normal with deviations S. The gain of log evidence of the function is
 
 $$\tfrac12\,b^\top S(I+SGS)^{-1}S\,b-\tfrac12\log|I+SGS|,\qquad G=J^\top MJ,\quad b=J^\top Mr .$$
 
-Because M takes out what the parameters of the model can do, nothing that they can replace is gained.  What must be beaten is
-chance with the same flexibility: the same function driven by what *another* experiment went through.
+M removes the directions of the parameters of the model, so a function that they can replace has no gain.  The gain must
+exceed that of chance with the same flexibility: the same function with the coordinates of *another* experiment.
 """
 
 import math
@@ -38,7 +38,7 @@ class PlaceGain(NamedTuple):
     Attributes:
         place: the place.
         gain: log evidence, over all lengths and sizes.
-        chance: the most that the same function gains from what another experiment went through.
+        chance: the largest gain of the same function with the coordinates of another experiment.
         deviations: of the coefficients, at the best length and size, (m,).
         coefficients: the most probable ones then, (m,).
     """
@@ -93,14 +93,14 @@ def screened(
 
 
 def located(place: Place, names: Sequence[str], reaches: Reaches) -> tuple[np.ndarray, dict[int, float]]:
-    """Columns of the coefficients of a place, and what other parameters of the free function are held at, by column."""
+    """Columns of the coefficients of a place, and the fixed values of other parameters of the free function, by column."""
     index = {name.rpartition(".")[2]: k for k, name in enumerate(names) if name.rpartition(".")[0] == "learned"}
     columns = np.asarray([index[power(m, n)] for m, n in place.degrees])
     return columns, {index[name]: value for name, value in place.held(reaches.of(place)).items()}
 
 
 class ByPolynomials:
-    """Batch whose free function is given coefficients of polynomials in place of powers.
+    """Batch whose free function has coefficients of polynomials instead of powers.
 
     Arguments:
         batch: that are given powers.
@@ -124,7 +124,7 @@ class ByPolynomials:
 
 
 def learned(strength: Float[np.ndarray, "m m"], along: Float[np.ndarray, " m"], place: Place) -> Learned:
-    """The evidence of a process at a place from G and b, over all lengths and sizes and at the best of them."""
+    """The evidence of a process at a place from G and b, over all lengths and sizes, and at the best of these."""
     grid = [process(place, length, size) for length in _LENGTHS for size in _SIZES]
     found = [evidence(strength, along, own) for own in grid]
     gains = [gain for gain, _ in found]
@@ -152,7 +152,9 @@ def process(place: Place, length: float, size: float) -> Float[np.ndarray, " m"]
 
 
 def _chance(linearisation: Linearisation, slopes: np.ndarray, place: Place, experiments: int) -> float:
-    """The most that the function gains from what another experiment, or of a single one another time, went through."""
+    """The largest gain of the function with the coordinates of another experiment, or, for a single experiment, of
+    another time.
+    """
     shape = (len(slopes), experiments, -1)
     gains = []
     for shift in {1, max(experiments // 2, 1)} if experiments > 1 else (1, 2):

@@ -1,7 +1,7 @@
 """The search for a place: every place is screened, the best ones are fitted in the simulation, and the winner is tested.
 
-The parameters of the law have flat priors here, those of the function do not: of all functions that fit alike the smallest is
-taken, so that whatever the law's own parameters can do, they do.
+The parameters of the law have flat priors here, those of the function do not: of all functions with equal fits the smallest
+is taken, so that the parameters of the law explain as much as possible.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,7 +30,7 @@ _SECOND = 10.0
 _LEAST = 1e-6
 # Half the distance between the 16 % and 84 % quantiles of a normal distribution, which is the unit of a coordinate.
 _SPREAD = float(ndtri(0.84))
-# Of the time of fading over u_c/v_c.
+# Prior of the time constant of fading, over u_c/v_c.
 _FADING = Prior("lognormal", [0.9, 1.0])
 
 
@@ -69,7 +69,7 @@ class Fitted:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the coefficients, with the law as unsure as it is, (m, m)."""
+        """Covariance of the coefficients, including the uncertainty of the law, (m, m)."""
         law, own = self._blocks
         covariance = np.linalg.inv(self.fit.hessian + 1e-9 * np.eye(len(law) + len(own)))[np.ix_(own, own)]
         return covariance * np.outer(self._scale, self._scale)
@@ -102,7 +102,7 @@ class HeldOutError(NamedTuple):
 
     Attributes:
         error: normalised error on the test experiments, or on those left out in turn.
-        gain: squared errors taken away from predictions of these experiments, of a single one from those left out in turn.
+        gain: reduction of the squared errors in these experiments; for a single experiment, in those left out in turn.
     """
 
     error: float
@@ -115,11 +115,11 @@ class PlaceSearch:
     Arguments:
         problem: the model with the free function as its one candidate.
         reaches: of its coordinates.
-        report: called with what is being done.
+        report: called with the current activity.
 
     Attributes:
-        models, base: the model as it is, and its fit.
-        target: what fits were judged with last.
+        models, base: the first model, and its fit.
+        target: the last data and errors of the fits.
         predicted_gains: of all places, the largest first.
         fitted: the places that were fitted, the most probable first.
     """
@@ -167,16 +167,16 @@ class PlaceSearch:
 
     @property
     def log_evidence(self) -> float:
-        """Of the model as it is."""
+        """The fit of the first model."""
         return laplace(self.base, self.models)
 
     def held_out_error(self, one: Fitted | None) -> HeldOutError:
-        """What a fitted place, or the model as it is, predicts of what was not used."""
+        """The predictions of held-out data with a fitted place, or by the first model."""
         models, fit = (self.models, self.base) if one is None else (one.models, one.fit)
         return held_out_error(self._problem, self.target, (models, fit), (self.models, self.base))
 
     def _fit(self, predicted_gain: PlaceGain) -> Fitted:
-        """Fit a place, from the coefficients of the screening and from a fifth of them."""
+        """Fit a place, starting from the coefficients of the screening and from a fifth of them."""
         self._report(predicted_gain.place.words)
         starts = [predicted_gain.coefficients, 0.2 * predicted_gain.coefficients]
         return self._fits(predicted_gain, predicted_gain.place, predicted_gain.deviations, starts, self.base.x)
@@ -189,7 +189,7 @@ class PlaceSearch:
         starts: Sequence[np.ndarray],
         x: np.ndarray,
     ) -> Fitted:
-        """Fit a place with the length and size, and the reach of what fades, that each fit asks for in the next."""
+        """Fit a place repeatedly; each fit gives the length, the size and the range of fading coordinates of the next fit."""
         found: Fitted | None = None
         fade = self._problem.names.index("learned.fade")
         for _ in range(_ROUNDS):
@@ -232,7 +232,9 @@ class PlaceSearch:
 
 
 def _without_negative(strength: np.ndarray) -> np.ndarray:
-    """A matrix of information: differences at a fit that has not ended leave directions of less than none, which are none."""
+    """A matrix of information: at an unfinished fit, differences give directions of negative information, which are set
+    to zero.
+    """
     values, vectors = np.linalg.eigh(strength)
     return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
@@ -249,8 +251,8 @@ def held_out_error(
 ) -> HeldOutError:
     """The predictions of a model for unused data, beside those of the first model.
 
-    That is what was held out; where nothing was, what is left out in turn, which a function sees beyond its reach.  A single
-    experiment has no standard error, and the gain is that of what is left out in turn.
+    These are the held-out data; without them, the data that are left out in turn, some of them outside the range of the
+    function. A single held-out experiment has no standard error, and the gain is that of the data that are left out in turn.
     """
     folds = folds_of(problem.train.used, problem.train.groups)
 

@@ -1,9 +1,9 @@
-"""Which spring law a first study has: that of Bouc and Wen, which every effect can join, or the steel of Menegotto and Pinto.
+"""The spring law of a first study: that of Bouc and Wen, which all effects can extend, or the steel of Menegotto and Pinto.
 
 The laws are fitted to the measured forces along the measured elongations, without structure and test rig.  Any elastic force,
-friction and dashpot may stand beside each, so the comparison concerns the hysteresis alone.  A specimen that yields sharply at
-first and more roundly later is steel.  Beside the simplest law of Bouc and Wen that difference would be taken for effects that
-the specimen does not have.
+friction and dashpot may stand beside each, so the comparison concerns the hysteresis alone.  Steel yields sharply at first
+and more roundly later. With the simplest law of Bouc and Wen, a diagnosis would explain this difference by effects that the
+specimen does not have.
 """
 
 import math
@@ -31,14 +31,14 @@ _BLOCK = 256
 _PARTS = 4
 # Knots of the elastic force beside a law, which is linear between them; a force of the rate has half as many.
 _KNOTS = 11
-# Another law is taken in place of the simplest one if it leaves at most this share of the squared residual of that one.
+# Another law replaces the simplest one if its squared residual is at most this share of that of the simplest one.
 _LEFT = 0.3
-# Of a derivative, in units of a guess.
+# Step of a derivative, relative to the initial estimate.
 _STEP = 1e-5
 
 
 class _Law(NamedTuple):
-    """A law and its free parameters: the first two are stiffness and strength, in units of what is guessed of them."""
+    """A law and its free parameters: the first two are stiffness and strength, relative to their initial estimates."""
 
     name: str
     low: tuple[float, ...]
@@ -68,7 +68,7 @@ _LAWS = {
 
 
 class Residuals(NamedTuple):
-    """What the laws leave of the forces, normalised.
+    """Normalised residuals of the laws.
 
     Attributes:
         simplest: Bouc and Wen with n = 1 and γ = 0.
@@ -82,7 +82,9 @@ class Residuals(NamedTuple):
 
     @property
     def is_steel(self) -> bool:
-        """Whether the law of Menegotto and Pinto leaves much less than the simplest one, and less than the shaped one."""
+        """Whether the residual of the law of Menegotto and Pinto is much smaller than that of the simplest law, and
+        smaller than that of the shaped one.
+        """
         return self.steel < min(math.sqrt(_LEFT) * self.simplest, self.shaped)
 
 
@@ -103,7 +105,7 @@ class _Paths(NamedTuple):
 
 
 def residuals(campaign: Campaign, stiffness: float, strength: float) -> Residuals | None:
-    """What each law leaves of the measured forces.
+    """The residual of each law in the measured forces.
 
     Arguments:
         campaign: the measurements.
@@ -111,7 +113,7 @@ def residuals(campaign: Campaign, stiffness: float, strength: float) -> Residual
         strength: a guess of the strength [N].
 
     Returns:
-        The normalised residuals; None where no experiment has a history of force and elongation.
+        The normalised residuals; None if no experiment has a history of force and elongation.
     """
     prepare()
     paths = _paths(campaign, strength)
@@ -153,7 +155,7 @@ def _hats(x: np.ndarray, low: float, count: int) -> Float[np.ndarray, "... count
 
 
 def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> float:
-    """RMS of what a fitted law and the best forces beside it leave, over that of the force."""
+    """RMS residual of a fitted law with the best parallel forces, over the RMS of the force."""
     law, used = _LAWS[name], paths.is_measured
     beside, force = paths.beside[used], paths.force[used]
 
@@ -161,7 +163,7 @@ def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> fl
         given = law.parameters(list(points.T), stiffness, strength)
         parameters = {key: np.broadcast_to(np.asarray(value, dtype=float), len(points)) for key, value in given.items()}
         found = np.asarray(_forces(law.name, parameters, paths.elongation))[:, used].T / strength
-        # A simulation that diverges is far off.
+        # A diverged simulation counts as a large residual.
         rest = force[:, None] - np.where(np.abs(found) < 1e3, found, 1e3)
         return rest - beside @ np.linalg.lstsq(beside, rest, rcond=1e-8)[0]
 

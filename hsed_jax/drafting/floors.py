@@ -9,8 +9,8 @@ import numpy as np
 
 from hsed_jax.measurements import Campaign, Record
 
-# Frequencies at which the ground has less than this share of its largest power carry no information on the building.  Nor do
-# frequencies of which the record has fewer periods than this.
+# Frequencies at which the ground has less than this share of its largest power carry no information on the building.
+# Frequencies with fewer periods in the record than this carry none, either.
 _LEAST_POWER, _LEAST_PERIODS = 0.01, 4
 
 
@@ -29,12 +29,12 @@ class Floors(NamedTuple):
 
 
 def floor_count(campaign: Campaign) -> int:
-    """The highest floor with a sensor; 1 where there is none."""
+    """The highest floor with a sensor; 1 without one."""
     return max((number for number, _ in map(_floor, campaign.channels)), default=1)
 
 
 def top_channel(campaign: Campaign) -> str | None:
-    """The channel that tells most directly how the highest floor moves; None where no floor has a sensor."""
+    """The channel that measures the motion of the highest floor most directly; None if no floor has a sensor."""
     return max((name for name in campaign.channels if _floor(name)[0]), key=_floor, default=None)
 
 
@@ -43,11 +43,12 @@ def floors_of(campaign: Campaign, masses: Sequence[float] = ()) -> Floors | None
 
     Arguments:
         campaign: of a shaken building.
-        masses: of the floors from the lowest up [kg], as many as the highest sensor tells; equal ones where they are not known.
+        masses: of the floors from the lowest up [kg], as many as the floor of the highest sensor; equal ones if they are
+            unknown.
 
-    The first frequency is where the velocity of that floor, relative to the ground, follows the ground most: in accelerations a
-    first mode that yields is lower than the second, in displacements a drift is higher than either.  All floors move in the
-    first mode of a shear building of n storeys of one stiffness; where masses are equal, too, that is
+    The first frequency is that of the largest ratio between the velocity of this floor, relative to the ground, and the
+    ground motion. In accelerations a yielding first mode is lower than the second; in displacements a drift is higher than
+    both.  All floors move in the first mode of a shear building of n storeys with one stiffness; for equal masses this is
     $\\phi_i = \\sin\\frac{i\\pi}{2n+1}$, $\\omega_1 = 2\\sqrt{k/m}\\sin\\frac{\\pi}{4n+2}$.
     """
     if (name := top_channel(campaign)) is None:
@@ -75,7 +76,9 @@ def _first_mode(masses: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def _floor(name: str) -> tuple[int, int]:
-    """Number of the floor that a channel is of, and how directly it tells accelerations; 0 of a channel of no floor."""
+    """Number of the floor of a channel, and a rank of how directly it measures accelerations; 0 for a channel without a
+    floor.
+    """
     if name == "elongation":
         return 1, 0  # the specimen of the first model is its lowest storey
     found = re.fullmatch(r"(displacement|velocity|acceleration)_(\d+)(_absolute)?", name)

@@ -27,14 +27,14 @@ _GRAVITY = 9.80665
 
 
 class Frame(NamedTuple):
-    """What is known of a frame: masses of its floors from the lowest up [kg], height of a storey [m]; zero where it is not."""
+    """Known data of a frame: masses of its floors from the lowest up [kg], height of a storey [m]; zero if unknown."""
 
     masses: tuple[float, ...] = ()
     height: float = 0.0
 
 
 class _Guess(NamedTuple):
-    """A number for the first model, and where it comes from."""
+    """A number for the first model, and its source."""
 
     value: float
     source: str
@@ -53,14 +53,14 @@ def text_of_study(
     Arguments:
         campaign: the measurements.
         folder: where they are.
-        output: where the study will be; the path to the campaign is written relative to it.
-        frame: what is known of a frame that was shaken.
-        taken: what the campaign was made of, lines for its head.
-        model: lines of a model that has no effects, in the place of a spring law.
+        output: folder of the study; the path to the campaign is written relative to it.
+        frame: known data of a shaken frame.
+        taken: sources of the campaign, lines for the head of the file.
+        model: lines of a model that has no effects, instead of a spring law.
 
     Raises:
-        UserError: the campaign has no completed training experiment, or nothing that tells stiffness and strength; or it was
-            shaken, and the specimen measured in another pair than elongation and force; or the frame does not fit the sensors.
+        UserError: the campaign has no completed training experiment, or no data for stiffness and strength; or it was shaken,
+            and the pair of the specimen is not elongation and force; or the frame does not fit the sensors.
     """
     pair, frame = campaign.pair, frame or Frame()
     _check_frame(campaign, folder, frame)
@@ -79,7 +79,7 @@ def text_of_study(
     lines = [
         f"# A study of {' '.join(campaign.name.split())}, written by `hsed init` from the data in {where}.",
         *(f"# {line}" for line in taken),
-        "# Every number below can be changed; the comments say where it comes from.",
+        "# Every number below can be changed; the comments give the sources.",
         f"study: {_text(_name(folder))}",
         "seed: 0",
         "",
@@ -107,15 +107,15 @@ def text_of_study(
         "calibration: {seconds: 10}                  # time limit of NUTS, used where importance sampling is unreliable",
         "steps: [calibrate, compare]                 # a diagnosis needs a spring law (model.spring)"
         if model
-        else "steps: [calibrate, compare, diagnose, improve]   # find the error, where it is, and the missing effect; add it",
+        else "steps: [calibrate, compare, diagnose, improve]   # find the error, its location and the missing effect",
         "",
     ]
     return "\n".join(lines)
 
 
 def _spring(campaign: Campaign, stiffness: _Guess, strength: _Guess, frame: Frame) -> list[str]:
-    """The spring law that fits the records, with priors around what they show."""
-    # It loads JAX, for which a study with another model need not wait.
+    """The spring law that fits the records, with priors around their estimates."""
+    # It loads JAX, which a study with another model does not need.
     from hsed_jax.drafting.first_law import residuals
 
     pair, initial = campaign.pair, stiffness.value + _of_gravity(frame)
@@ -169,7 +169,7 @@ def _check_frame(campaign: Campaign, folder: Path, frame: Frame) -> None:
     """Refuse masses and a height that do not fit the measurements.
 
     Raises:
-        UserError: with what is allowed.
+        UserError: with the allowed values.
     """
     if not frame.masses and not frame.height:
         return
@@ -227,7 +227,7 @@ def _guesses(campaign: Campaign, folder: Path, frame: Frame) -> tuple[_Guess, _G
     """Stiffness [N/m] and strength [N] of the specimen, and the mass of a floor [kg].
 
     Raises:
-        UserError: nothing tells stiffness and strength.
+        UserError: stiffness and strength cannot be estimated.
     """
     found = characteristics(campaign)
     stiffness = _Guess(
@@ -250,9 +250,7 @@ def _guesses(campaign: Campaign, folder: Path, frame: Frame) -> tuple[_Guess, _G
     )
     if found.force > 0 and not frame.masses:
         mass = _Guess(found.force / floors.strength, "largest force over largest accelerations")
-    way = (
-        f"stiffness of storeys whose first frequency is {floors.frequency:.3g} Hz, where the highest floor follows most"
-    )
+    way = f"stiffness of storeys whose first frequency is {floors.frequency:.3g} Hz, that of the largest response at the top"
     return (
         _Guess(mass.value * floors.stiffness, way),
         _Guess(mass.value * floors.strength, "the masses times their largest accelerations"),

@@ -29,10 +29,10 @@ class Calibrated:
     """A calibrated model.
 
     Attributes:
-        built: the study; of a run nothing of it that simulates is ever built.
+        built: the study; for a run, its simulator is never built.
         map: θ_MAP, SI.
         posterior: `mean`, `q05` and `q95` by name, SI.
-        scales: characteristic values of effects; of a model without effects they do not matter.
+        scales: characteristic values of effects; not used for a model without effects.
     """
 
     built: Built
@@ -42,16 +42,16 @@ class Calibrated:
 
     @property
     def name(self) -> str:
-        """Of the study."""
+        """Name of the study."""
         return self.built.study.study
 
     @property
     def priors(self) -> dict[str, Prior]:
-        """Of the free parameters."""
+        """Priors of the free parameters."""
         return self.built.mechanics.parameters[0]
 
     def known(self, name: str) -> Parameter | None:
-        """What is known of a parameter of a law, an effect or the structure; None of another one."""
+        """The declaration of a parameter of a law, an effect or the structure; None for another one."""
         return self.built.mechanics.known(name)
 
     def of(self, element: Element) -> tuple[AbstractSpringLaw, dict[str, AbstractSpringEffect], list[str]]:
@@ -82,20 +82,20 @@ class Calibrated:
         return element.law(**values), effects, outside
 
     def reach(self) -> float:
-        """The largest elongation that was measured [m], or the characteristic one."""
+        """The largest measured elongation [m], or the characteristic one."""
         measured = [] if self.built.experiments.measured is None else _elongations(self.built.experiments.measured)
         return max(measured, default=float(self.scales.elongation))
 
 
 def calibrated(source: "str | Path | Calibration | Improvement", *, before: bool = False) -> Calibrated:
-    """What is to be exported.
+    """The model to export.
 
     Arguments:
-        source: a run folder, or what `hx.calibrate` or `hx.improve` returns.
-        before: of a run that was improved, or an improvement: the model as it was.
+        source: a run folder, or a result of `hx.calibrate` or `hx.improve`.
+        before: export the first model of an improved run, or of an improvement.
 
     Raises:
-        UserError: there is no run or no calibration in it, or its model is code of somebody's own.
+        UserError: there is no run or no calibration in it, or its model is the user's code.
     """
     if isinstance(source, Improvement):
         source = source.original if before else source.calibration
@@ -112,7 +112,7 @@ def calibrated(source: "str | Path | Calibration | Improvement", *, before: bool
     study = load_study(run.folder / ("improved.yaml" if improved else "study.yaml"))
     if study.code:
         raise UserError(
-            f"{source}: its model is code of its own ({', '.join(study.code)}), which has no counterpart in OpenSees and "
+            f"{source}: its model is the user's code ({', '.join(study.code)}), which has no counterpart in OpenSees and "
             "which an export does not execute; in Python, hx.export(fit) makes the table of a model that you calibrate there"
         )
     built = Built(study, run.campaign)

@@ -1,6 +1,6 @@
 r"""A spring law with its effects as materials of OpenSees, in SI units.
 
-OpenSees' `BoucWen` has the hysteretic displacement $z' = z/A$ in metres where ours has the force z,
+OpenSees' `BoucWen` has the hysteretic displacement $z' = z/A$ in metres, and this package has the force z,
 
 $$f = k_o z',\qquad \dot z' = \frac{A_o - |z'|^n\,[\gamma' + \beta'\,\mathrm{sign}(\dot u z')]\,\nu}{\eta}\,\dot u,\qquad
   \nu = 1 + \delta_\nu e,\quad \eta = 1 + \delta_\eta e,\quad e = \int k_o z'\,du,$$
@@ -34,7 +34,7 @@ _WITH_COUNTERPART = {
     "coulomb_friction": "bristle",
     "support_flexibility": "linear",
 }
-"""Effects of which some forms have a counterpart, and which."""
+"""Effects with a counterpart, and their forms with a counterpart."""
 
 
 class Command(NamedTuple):
@@ -61,7 +61,7 @@ def material(
         reach: largest elongation of the experiments [m]; curves are tabulated up to twice as far.
 
     Raises:
-        UserError: the law, an effect or the effects together have no counterpart; names it and says what can be done.
+        UserError: the law, an effect or the effects together have no counterpart; the message names it and proposes a remedy.
     """
     acting = {name: effect for name, effect in effects.items() if _acts(effect)}
     element = _element(law, acting, scales, reach)
@@ -81,7 +81,7 @@ def material(
 
 
 def _assembled(element: tuple, in_series: Sequence[tuple], beside: Sequence[tuple]) -> list[Command]:
-    """The element with what is in series with it, and what is beside both."""
+    """The element with its parts in series, and the parts parallel to both."""
     commands: list[Command] = []
 
     def defined(part: tuple, tag: int | None = None) -> int:
@@ -204,13 +204,13 @@ def _flexibility(name: str, effect: Any, scales: Scales) -> tuple:
 
 
 def _beside(name: str, effect: Any, law: AbstractSpringLaw, scales: Scales, reach: float) -> tuple:
-    """Kind and arguments of what an effect adds beside the element."""
+    """Kind and arguments of the material that an effect adds parallel to the element."""
     if effect.name in _CURVES:
         _require(name, effect, worn=0, kept=0)
         return _curve(effect, scales, reach)
     force = float(effect.delta * scales.force)
     if effect.name == "coulomb_friction":
-        # Sharp friction turns over with the rate; as an ElasticPP that sticks over 1e-3 u_c it was 6 % off.
+        # Sharp friction changes its sign with the rate; an ElasticPP that sticks over 1e-3 u_c has an error of 6 %.
         _require(name, effect, of_bristle=1, worn=0)
         length = effect.bristle * scales.elongation
         return ("BoucWen", 0.0, force / length, 1.0, 0.0, 1 / length, 1.0, 0.0, 0.0, 0.0)
@@ -229,7 +229,7 @@ def _beside(name: str, effect: Any, law: AbstractSpringLaw, scales: Scales, reac
 
 
 def _curve(effect: Any, scales: Scales, reach: float) -> tuple:
-    """A spring that is elastic: two straight lines, or a curve in points."""
+    """An elastic spring: two straight lines, or a curve in points."""
 
     def force(elongation: float) -> float:
         point = SpringPoint(np.float64(elongation), 0.0, 0.0, {}, scales, 1.0, 1.0)
@@ -246,7 +246,7 @@ def _curve(effect: Any, scales: Scales, reach: float) -> tuple:
 
 
 def _acts(effect: AbstractSpringEffect) -> bool:
-    """Whether it does anything: the first parameter of every effect is its amplitude."""
+    """Whether it is active: the first parameter of every effect is its amplitude."""
     return getattr(effect, next(iter(parameters_of(effect)))) != 0
 
 

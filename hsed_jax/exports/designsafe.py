@@ -78,7 +78,7 @@ def write_designsafe(source: str | Path, folder: str | Path, *, hybrid: bool = F
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UserError(f"{folder} exists and is not empty; choose another folder")
         if is_run and (link := first_link(source, [*_ANALYSIS, "report.html"])) is not None:
-            raise UserError(f"{link} is a symbolic link, whose file may be another one; replace it by what it leads to")
+            raise UserError(f"{link} is a symbolic link, whose file may be another one; replace it by its target")
         write_campaign(campaign, folder / "campaign")
         models = [moved_study(path, folder / "model", "../campaign") for path in _studies(source, is_run)]
         for name in (*_ANALYSIS, "report.html") if is_run else ():
@@ -94,7 +94,7 @@ def write_designsafe(source: str | Path, folder: str | Path, *, hybrid: bool = F
 
 
 def _studies(source: Path, is_run: bool) -> list[Path]:
-    """The study of a campaign or a run, and the improved one, where they are."""
+    """The study of a campaign or a run, and the improved one, if they exist."""
     found = [path for path in (source / "study.yaml", source / "improved.yaml") if is_file(path)]
     return found if is_run else found[:1]
 
@@ -115,7 +115,7 @@ def _described(study: Path) -> str:
 
 
 def _entities(campaign: Campaign, names: Sequence[str], model: str, kind: str) -> _Entity:
-    """The project with all that is below it."""
+    """The project with all entities below it."""
     levels, at_model, at_sensors, of_analysis, of_report = KINDS[kind]
     is_hybrid, title = kind == "hybrid_simulation", campaign.name
     test = {"id": "Earthquake", "name": "Earthquake"}
@@ -154,7 +154,7 @@ def _entities(campaign: Campaign, names: Sequence[str], model: str, kind: str) -
 
 
 def _protocol(campaign: Campaign) -> str:
-    """The kind of test, and how many there are."""
+    """The kind of test, and the number of tests."""
     pair, count = campaign.pair, len(campaign)
     tests = {
         "displacement": f"The {pair.elongation} was imposed and the {pair.force} measured.",
@@ -177,7 +177,7 @@ def _sensors(campaign: Campaign) -> str:
 
 
 def _event(campaign: Campaign, experiment: Experiment, name: str, names: Sequence[str], is_hybrid: bool) -> _Entity:
-    """One test; a record that several share belongs to the first of them."""
+    """One test; a shared record belongs to the first of its experiments."""
     told = [f"{k} = {campaign.unit(k).from_si(v):.6g} {campaign.inputs[k]}" for k, v in experiment.inputs.items()]
     told += [f"split {experiment.split}", f"status {experiment.status}"]
     told += [experiment.reason] if experiment.reason else []

@@ -32,25 +32,26 @@ def export(
 ) -> list[Path]:
     r"""Write a calibrated law as scripts for OpenSees, or its parameters as a table for a paper.
 
-    The scripts have the law at θ_MAP: the values of one point belong together, while the means of correlated parameters of a law
-    that is not linear in them may fit nothing.  The table has means and 90 % intervals.
+    The scripts have the law at θ_MAP: the values of one point belong together. The means of correlated parameters may not fit
+    the data if the law is nonlinear in them.  The table has means and 90 % intervals.
 
     Arguments:
-        source: a run folder, of which the improved model is taken where there is one, or what `hx.calibrate` or `hx.improve`
+        source: a run folder, whose improved model is exported if it exists, or the object that `hx.calibrate` or `hx.improve`
             returns.
         output: folder to write into; by default `export` in the run folder, else in the working directory.
         kind: `opensees` writes `specimen.py` (OpenSeesPy) and `specimen.tcl` (of several specimens two files each, by their
-            names; of a material of OpenSees also `protocol.csv`, the test along which the script was run, and `check.json`, its
-            difference from the simulation and the version of OpenSees), `table` writes `parameters.md` and `parameters.tex`,
-            `programs` writes `programs.md`: the law as input of SAP2000, SeismoStruct and Abaqus, where theirs is equal.
-        before: the model as it was, in place of the improved one.
+            names; of a material of OpenSees also `protocol.csv`, the test along which the script was run, and `check.json`,
+            its difference from the simulation and the version of OpenSees), `table` writes `parameters.md` and
+            `parameters.tex`, `programs` writes `programs.md`: the law as input of SAP2000, SeismoStruct and Abaqus, if they
+            have an equal law.
+        before: export the first model instead of the improved one.
 
     Returns:
         The files written; elongations in m and forces in N, rotations and moments, strains and stresses likewise in SI.
 
     Raises:
-        UserError: there is no calibration, the law or an effect has no counterpart in OpenSees, the model is code of somebody's
-            own, or the folder cannot be written to.
+        UserError: there is no calibration, the law or an effect has no counterpart in OpenSees, the model is the user's code,
+            or the folder cannot be written to.
 
     Example:
         >>> [file.name for file in hx.export("runs/wall")]
@@ -88,7 +89,7 @@ def _files(model: Calibrated, kind: str) -> dict[str, str]:
 
 
 def _material(model: Calibrated) -> dict[str, str]:
-    """The scripts of a material of OpenSees, the test that they were checked along, and what the check found."""
+    """The scripts of a material of OpenSees, the test of their check, and the result of the check."""
     command, test, opensees, reach = command_of(model), test_of(model), version(), model.reach()
     title = (
         f"The calibrated {command.words[0]} of the study {' '.join(model.name.split())}, for OpenSees; in N, m and s."

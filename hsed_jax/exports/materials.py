@@ -1,7 +1,7 @@
 """A calibrated material of OpenSees: its command, and the check of its script along a test against the simulation.
 
-The script has the command by which the package simulates, but drives it by an analysis of a model; whether both give the same
-forces depends on the material and on the version of OpenSees, so the script is run.
+The script has the command of the simulation in this package, but uses an analysis of a model. The agreement of the forces
+depends on the material and on the version of OpenSees. Therefore the script is run.
 """
 
 import json
@@ -29,7 +29,7 @@ _TIMEOUT = 600.0
 
 @dataclass(frozen=True)
 class Test:
-    """A test that the script is checked along.
+    """A test for the check of the script.
 
     Attributes:
         path: elongations from zero [m], (N,), as OpenSees follows them.
@@ -56,11 +56,9 @@ def command_of(model: Calibrated) -> Command:
     mechanics = model.built.mechanics
     assert isinstance(mechanics, OpenSeesMechanics)
     words = mechanics.material.arguments(parameters_of(model))
-    # Python says inf where it means far away; no number of a material is.
+    # Python uses inf for a far limit; no parameter of a material may be infinite.
     if not all(math.isfinite(word) for word in words if not isinstance(word, str)):
-        raise UserError(
-            f"an argument of {mechanics.material.name} is no finite number; calibrate again, and export that run"
-        )
+        raise UserError(f"an argument of {mechanics.material.name} is not finite; calibrate again, and export that run")
     return Command("uniaxialMaterial", (mechanics.material.name, 1, *words))
 
 

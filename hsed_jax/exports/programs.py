@@ -1,4 +1,4 @@
-r"""A calibrated law as input of SAP2000, SeismoStruct and Abaqus, where their law is equal to ours; nowhere else.
+r"""A calibrated law as input of SAP2000, SeismoStruct and Abaqus, only if they have an equal law.
 
 *Bilinear with kinematic hardening* is `bl_kin` of SeismoStruct, a link MultiLinear Plastic of the type Kinematic of SAP2000, and
 connector plasticity of Abaqus with linear kinematic hardening, $\dot\alpha = C\,\dot u_p$ with $C = bk/(1-b)$.
@@ -135,7 +135,7 @@ def _beside(effects: Mapping[str, AbstractSpringEffect], scales: Scales) -> floa
             stiffness += float(given.delta * scales.force / scales.elongation)
         elif effect.name != "loop_shape" or given.power != 0 or given.kept != 0:
             raise UserError(
-                f"{name} is in no equal law of SAP2000, SeismoStruct and Abaqus; calibrate without it (or say --before for the "
-                "model before its improvement), and export that run"
+                f"{name} has no equal counterpart in SAP2000, SeismoStruct and Abaqus; calibrate without it (or say "
+                "--before for the model before its improvement), and export that run"
             )
     return stiffness

@@ -1,6 +1,6 @@
 """The two scripts of a material, from one list of commands: Tcl for OpenSees, Python for OpenSeesPy.
 
-Each defines the material and, run by itself, pulls it to and fro and prints elongation and force.
+Each defines the material. If it is run alone, it loads the material cyclically and prints elongation and force.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -139,7 +139,7 @@ def _tcl(command: Command, tag: str = "") -> str:
 
 
 def _words(command: Command, whole: Mapping[int, str], part: Callable[[int], str]) -> Iterator[tuple[str, bool]]:
-    """The arguments, and which are text; tags of materials relative to that of the whole, where it has one."""
+    """The arguments, and which are text; tags of materials relative to that of the assembly, if it has one."""
     for place, word in enumerate(command.words):
         if isinstance(word, str):
             yield word, True

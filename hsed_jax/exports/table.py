@@ -14,7 +14,7 @@ class Row(NamedTuple):
 
     Attributes:
         name: as in the study.
-        symbol: LaTeX, without dollars; empty where there is none.
+        symbol: LaTeX, without dollars; empty without one.
         unit: SI.
         mean, low, high: of the posterior; the 5 % and the 95 % quantile.
         prior: in words.
@@ -67,7 +67,7 @@ def latex(table: list[Row]) -> str:
 
 
 def _number(value: float, row: Row) -> str:
-    """To the digit that the width of the interval gives a meaning to, and two more than none."""
+    """Digits according to the width of the interval, at least two."""
     width = abs(row.high - row.low)
     size = max(abs(value), abs(row.mean))
     digits = 3

@@ -27,17 +27,17 @@ def follow(
     name: str,
     seconds: float | None = None,
 ) -> list[ChainState]:
-    """Let chains go to their end, each chain_state on a thread of its own.
+    """Let chains go to their end, each chain_state on a separate thread.
 
     Arguments:
-        advance: lets a chain_state go on for so many leapfrog steps.
-        chain_states: where they begin.
-        watch: hears how far they are and keeps them.
-        name: to keep them under; what was kept under it is where they go on.
-        seconds: budget, what was kept included, after which they halt where they are.
+        advance: advances a chain_state by a number of leapfrog steps.
+        chain_states: their initial states.
+        watch: receives the progress and stores them.
+        name: of the stored states; they continue from states that are stored under it.
+        seconds: time budget, including earlier sessions; the chains stop when it ends.
 
     Returns:
-        The chain_states at their end, or where the budget left them.
+        The chain_states at their end, or at the end of the budget.
     """
     spent, reached = 0.0, list(chain_states)
     if (kept := watch.recall(name)) is not None:

@@ -1,7 +1,7 @@
-r"""Draws by NUTS: an accurate emulator makes them and the simulator weighs them, or the simulator makes them alone.
+r"""Draws by NUTS: an accurate emulator makes them and the simulator weights them, or the simulator makes them alone.
 
-A trajectory needs dozens of densities, and a draw needs one.  So chains of an emulated posterior cost as many simulations as
-they have draws.  Weights $w = p(x)/\tilde p(x)$ correct the error of the emulator.  The Pareto shape of the weights and the
+A trajectory needs dozens of densities, and a draw needs one.  Chains of an emulated posterior therefore need one simulation
+for each draw.  Weights $w = p(x)/\tilde p(x)$ correct the error of the emulator.  The Pareto shape of the weights and the
 effective number of draws show whether the draws are reliable (`hsed_jax.inference.importance`).
 
 Weights carry no information outside the sampled region, and the polynomial of the emulator may end where the posterior
@@ -38,8 +38,8 @@ from hsed_jax.programs import program
 
 # Error of the emulated log density [nats] at which the weights leave a third of the draws.
 _ACCURATE = 1.0
-# Chains worth less than this share of their draws, and those of which more than this share diverges, have not been everywhere
-# as often as they should.
+# Chains do not sample all parts in proportion if their effective number is below this share of the draws, or if more
+# than this share of the draws diverges.
 _WORTHY, _MAY_DIVERGE = 0.2, 0.01
 # Number of emulators, and the width of the design of the first one, relative to the Gaussian around the mode.
 _ROUNDS, _SPREAD = 5, 1.3
@@ -55,7 +55,7 @@ def by_nuts(
     watch: Watch,
     seconds: float | None = None,
 ) -> Chains:
-    """Chains of the posterior, shorter than planned where the budget ends before them; the arguments are those of `draw`."""
+    """Chains of the posterior, shorter than planned if the budget ends earlier; the arguments are those of `draw`."""
     of_emulator, of_chains = jax.random.split(key)
     keys, began = jax.random.split(of_chains, settings.chains), time.perf_counter()
     # The weights of a few draws cannot be judged.
@@ -225,7 +225,7 @@ def _weighed(
 
 
 def _needs_moves(chains: Chains) -> bool:
-    """Whether chains of an emulator, weighed and resampled, mix so slowly that they may have missed a part."""
+    """Whether chains of an emulator, after weighting and resampling, mix so slowly that they may have missed a part."""
     judged, count = convergence(chains), chains.diverging.size
     return judged.divergences > _MAY_DIVERGE * count or not judged.ess_bulk.min() >= _WORTHY * count
 

@@ -1,4 +1,4 @@
-r"""How many independent samples a history counts for, if its noise is autocorrelated or its model is wrong.
+r"""The effective number of samples of a history, if its noise is autocorrelated or its model is wrong.
 
 Two causes correlate the residual of a history. **Autocorrelated noise** is a property of the sensor, because sensors are
 filtered.  The likelihood has it as a first-order autoregression $\rho_k = e^{-\Delta t_k/\ell}$ with a correlation time ℓ per
@@ -7,9 +7,9 @@ units of the declared noise.  The residual of a wrong model is smooth and adds l
 the two causes cannot be distinguished, and ℓ is inferred only if the study asks for it.
 
 **A wrong model** leaves a residual that is correlated in addition.  If a thousand such samples counted as independent, the
-posterior would be far too narrow.  With the integrated autocorrelation time τ of the residual, n samples are equivalent to n/τ
-independent ones (Sokal 1997).  So each counts with weight 1/τ in the likelihood.  This is a power likelihood: for one output,
-it keeps the maximum and corrects the width.
+posterior would be far too narrow.  With the integrated autocorrelation time τ of the residual, n samples are equivalent to
+n/τ independent ones (Sokal 1997).  Each sample therefore has the weight 1/τ in the likelihood.  This is a power likelihood:
+for one output, it keeps the maximum and corrects the width.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ class NoiseEstimate(NamedTuple):
 
     Attributes:
         memory: ρ of every sample with the one before, (n, J).
-        worth: by output, how many independent samples each counts for, (G,).
+        worth: by output, the effective number of each sample, (G,).
         noises: by output.
     """
 
@@ -66,11 +66,11 @@ def estimate_noise(
 
     Arguments:
         standardised: residuals in units of the noise, (n, J).
-        gaps: time since the sample before [s], infinite where there is none, (n, J).
+        gaps: time since the previous sample [s], infinite without one, (n, J).
         used: where there is a measurement, (n, J) bool.
         groups: output of each column, (J,).
         declared: by output, whether the size of its noise is declared, (G,).
-        correlated: by output, what is said of its noise (`Error.correlated`).
+        correlated: by output, the setting for its noise (`Error.correlated`).
     """
     noises = []
     for output, said in enumerate(correlated):
@@ -88,8 +88,8 @@ def correlation_notes(outputs: Sequence[str], groups: np.ndarray, weights: np.nd
     Arguments:
         outputs: their names.
         groups: the output that each column of the data belongs to, (J,).
-        weights: what each sample is worth, zero where nothing is used, (n, J).
-        memory: share of its noise that it has in common with the one before, (n, J).
+        weights: effective number of each sample, zero for unused samples, (n, J).
+        memory: correlation of its noise with that of the previous sample, (n, J).
     """
     notes = []
     for output, name in enumerate(outputs):
@@ -112,9 +112,9 @@ def noise_of(standardised: np.ndarray, gaps: np.ndarray, used: np.ndarray, corre
 
     Arguments:
         standardised: residuals of the output in units of its noise, (n, m).
-        gaps: time since the sample before [s], infinite where there is none, (n, m).
+        gaps: time since the previous sample [s], infinite without one, (n, m).
         used: where there is a measurement, (n, m) bool.
-        correlated: whether there is a memory; None: where the residual tells one.
+        correlated: whether the noise is autocorrelated; None: if the residual shows it.
     """
     pairs = np.isfinite(gaps) & used
     if pairs.sum() < _LEAST_SAMPLES or not standardised[used].any():
@@ -174,7 +174,7 @@ def size_p_value(standardised: np.ndarray, used: np.ndarray, memory: np.ndarray,
         standardised: residuals in units of the declared noise, (n, J).
         used: where there is a measurement to judge, (n, J) bool.
         memory: ρ, (n, J).
-        noises: by output, what is judged.
+        noises: by output.
         groups: output of each column, (J,).
         parameters: how many were fitted.
     """

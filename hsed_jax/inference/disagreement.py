@@ -1,13 +1,14 @@
-r"""Outputs that demand different values of one set of parameters.
+r"""Outputs that need different values of one set of parameters.
 
 Every output alone is fitted from the MAP to second order, with the priors.  F is the Fisher information of an output in the
-coordinates u, b the gradient of its negative log likelihood.  The rest of the outputs and the priors know the parameters with the
-precision R and have their optimum at m.  An output g agrees with them if
+coordinates u, b the gradient of its negative log likelihood.  The other outputs and the priors determine the parameters with
+the precision R and have their optimum at m.  An output g agrees with them if
 
 $$X^2 = d^\top\big(F_g^{-1} + R^{-1}\big)^{-1} d,\qquad d = -F_g^{-1} b_g - m,$$
 
-is a draw of χ² with as many degrees of freedom as the directions that g tells.  A model that is wrong leaves more than the noise.
-F and b of an output are therefore divided by its χ² per datum where that exceeds one, so a general misfit is no disagreement.
+is a draw of χ² with one degree of freedom for each direction that g determines.  A model that is wrong leaves more than the
+noise. F and b of an output are therefore divided by its χ² per datum where that exceeds one, so a general misfit is not a
+disagreement.
 
 Source: the test of two estimates for a common value; Cox & Hinkley, Theoretical Statistics (1974), chapter 9.
 """
@@ -26,16 +27,17 @@ from hsed_jax.inference.posterior import Posterior
 
 # Outputs disagree where chance makes so large a difference less often than this, and the misfit falls by this share or more.
 _SURE, _MATERIAL = 1e-3, 0.05
-# A direction of u with less information than this is not told: its standard deviation is ten, of coordinates of order one.
+# A direction of u with less information than this counts as undetermined: its standard deviation is ten, in coordinates
+# of order one.
 _TOLD = 1e-2
-# No parameter is moved further than this, in coordinates of order one: beyond, the expansion means nothing.
+# Largest change of a parameter, in coordinates of order one: the expansion is not valid beyond it.
 _FARTHEST = 3.0
 # Parameters that are named in a sentence.
 _NAMED = 3
 
 
 class Estimate(NamedTuple):
-    """A parameter as some outputs want it, SI."""
+    """The estimate of a parameter from some outputs, SI."""
 
     value: float
     sd: float
@@ -43,7 +45,7 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Disagreement:
-    """An output that demands other values of the parameters than the others do.
+    """An output that needs other values of the parameters than the others.
 
     Attributes:
         output: its name.
@@ -52,7 +54,7 @@ class Disagreement:
         p_value: probability of so large a difference by chance, for the number of outputs that were tested.
         parameters: by name the estimate of this output alone (`alone`), and of the others (`others`), SI; those that differ most
             first.
-        falls: share by which the RMS misfit of the output falls with its own values.
+        falls: relative reduction of the RMS misfit of the output with its own values.
         units: SI units of the parameters.
     """
 
@@ -67,7 +69,7 @@ class Disagreement:
 
     @property
     def sentence(self) -> str:
-        """What they demand, by how much they differ, and what would join them."""
+        """The values of both, their difference, and possible remedies."""
         others = " and ".join(self.others)
         said = []
         for name, wanted in list(self.parameters.items())[:_NAMED]:
@@ -92,7 +94,9 @@ class Disagreement:
 
 
 class _Told(NamedTuple):
-    """What an output tells of the parameters of the model: information F and the gradient b of its negative log likelihood."""
+    """The information of an output about the parameters of the model: Fisher information F and the gradient b of its
+    negative log likelihood.
+    """
 
     information: Float[np.ndarray, "q q"]
     gradient: Float[np.ndarray, " q"]
@@ -101,11 +105,11 @@ class _Told(NamedTuple):
 def disagreement(
     posterior: Posterior, data: Data, u: Float[np.ndarray, " p"], units: Mapping[str, str]
 ) -> Disagreement | None:
-    """The output that disagrees most with the others; None where all agree, or there is but one.
+    """The output that disagrees most with the others; None if all agree, or if there is only one.
 
     Arguments:
         posterior: of a study without levels.
-        data: what was fitted.
+        data: the fitted data.
         u: the MAP.
         units: SI units of the parameters.
     """
@@ -127,12 +131,12 @@ def disagreement(
         left = _chi2(posterior, data, u, np.asarray(around.predicted), np.asarray(around.ok), own)
         step = _optimum([plain], precision, pull)
         gain = -float(2 * plain.gradient @ step + step @ plain.information @ step)
-        # What the output leaves with its own values counts as its noise.
+        # The residual of the output with its own values counts as its noise.
         scale = max(1.0, max(left - gain, 0.0) / own.sum())
         told[g] = _Told(plain.information / scale, plain.gradient / scale)
         shrinks[g] = 1 - float(np.sqrt(max(left - gain, 0.0) / left)) if left > 0 else 0.0
     found = {g: _statistic(told[g], [told[h] for h in outputs if h != g], precision, pull) for g in outputs}
-    # Of two outputs each differs from the other by as much: one test.
+    # Two outputs differ from each other by the same amount: one test.
     tests = len(outputs) if len(outputs) > 2 else 1
     values = {g: min(1.0, tests * float(chdtrc(freedom, x))) for g, (x, freedom) in found.items() if freedom}
     sure = [g for g, p in values.items() if p < _SURE and shrinks[g] >= _MATERIAL]
@@ -185,7 +189,7 @@ def _estimates(
     precision: Float[np.ndarray, "q q"],
     pull: Float[np.ndarray, " q"],
 ) -> dict[str, dict[str, Estimate]]:
-    """The parameters as an output and as the rest want them, those that differ most first."""
+    """The parameters by an output and by the rest, those that differ most first."""
     import jax
     import jax.numpy as jnp
 
@@ -217,7 +221,7 @@ def _chi2(
     ok: Float[np.ndarray, " n"],
     weights: Float[np.ndarray, "n J"],
 ) -> float:
-    """Σ of the squares that an output leaves, as the likelihood counts them."""
+    """Sum of squared residuals of an output, with the weights of the likelihood."""
     import jax.numpy as jnp
 
     theta = posterior.constrain(jnp.asarray(u))

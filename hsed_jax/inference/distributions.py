@@ -13,7 +13,7 @@ from hsed_jax.errors import UserError
 from hsed_jax.plain import in_range, shown
 
 with warnings.catch_warnings():
-    # numpyro loads tqdm's bar for notebooks, which without widgets is one for text and warns of it.
+    # numpyro loads the progress bar of tqdm for notebooks, which without widgets falls back to text with a warning.
     warnings.filterwarnings("ignore", "IProgress not found")
     import numpyro.distributions as dist
     from numpyro.distributions.transforms import AffineTransform, ComposeTransform, SoftplusTransform, biject_to
@@ -112,7 +112,7 @@ def _signature(kind: Any) -> tuple[list[str], int]:
 
 
 def limits(made: dist.Distribution) -> tuple[float | None, float | None]:
-    """Limits of the support; None where there is none."""
+    """Limits of the support; None for a missing limit."""
     low, high = (getattr(made.support, side, None) for side in ("lower_bound", "upper_bound"))
     return (None if low is None else float(low)), (None if high is None else float(high))
 

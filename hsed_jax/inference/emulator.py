@@ -4,8 +4,8 @@ The predictions of every experiment are fitted by $f(\theta) \approx \sum_k \phi
 Here x is the standardised θ, and $\phi_k$ are the principal components of the simulated outputs, in standard deviations of the
 error.  Predictions are smooth in θ, also where u goes to infinity at the bound of a prior.
 
-The error of the log density is estimated by leaving out each simulation in turn, which costs a regression nothing.  The
-simulator weighs the draws of an emulator (`hsed_jax.inference.chains`).
+The error of the log density is estimated by leaving out each simulation in turn, which needs no further regression.  The
+simulator weights the draws of an emulator (`hsed_jax.inference.chains`).
 """
 
 import math
@@ -29,12 +29,12 @@ _MOST = 300
 
 
 class Design(NamedTuple):
-    """Simulations that an emulator learns from.
+    """Simulations to which an emulator is fitted.
 
     Attributes:
         u: where, (N, p).
         outputs, ok: of all experiments, and whether they converged, (N, n, J) and (N, n).
-        shares: of the posterior, by which its error is told; zero for what only teaches, (N,).
+        shares: of the posterior, to estimate the error; zero for simulations that are only fitted, (N,).
     """
 
     u: Float[Array | np.ndarray, "N p"]
@@ -48,7 +48,7 @@ class Emulator(eqx.Module):
     """Predictions of all experiments, polynomials of the parameters of the model.
 
     Attributes:
-        center, spread: of the parameters, for x = (θ − center)/spread, (m, p), m being 1, or n where each experiment has its own.
+        center, spread: of the parameters, for x = (θ − center)/spread, (m, p), m being 1, or n if each experiment has its own.
         coefficients: of the principal components, (m, q, n/m, K).
         middle, components: predictions are middle + amounts · components, (n, J) and (n, K, J).
         error: sd over the posterior of the log density's error [nats].
@@ -62,7 +62,7 @@ class Emulator(eqx.Module):
     error: Float[Array, ""]
 
     def __call__(self, theta: Float[Array, "m p"]) -> Float[Array, "n J"]:
-        """Outputs at parameters of the model, SI, for all experiments or of each its own (`Posterior.by_experiment`)."""
+        """Outputs at parameters of the model, SI, for all experiments or for each its own (`Posterior.by_experiment`)."""
         number, count = theta.shape[1], self.coefficients.shape[1]
         powers = _exponents(number, _degree_of(number, count))
         terms = jax.vmap(lambda x: _terms(x, powers))((theta - self.center) / self.spread)
@@ -76,12 +76,12 @@ class Emulator(eqx.Module):
 
 
 def simulations(parameters: int, degree: int) -> int:
-    """How many simulations an emulator of this degree is learned from."""
+    """Number of simulations for an emulator of this degree."""
     return max(_LEAST, _EACH * math.comb(parameters + degree, degree))
 
 
 def degree_for(parameters: int) -> int:
-    """The highest degree that so many parameters leave affordable."""
+    """The highest affordable degree for a number of parameters."""
     return 3 if math.comb(parameters + 3, 3) <= _MOST else 2
 
 
@@ -127,7 +127,7 @@ def _degree_of(parameters: int, coefficients: int) -> int:
 
 
 def _exponents(parameters: int, degree: int) -> tuple[np.ndarray, ...]:
-    """Which parameters the terms of each degree are products of, (·, degree)."""
+    """The parameters in the products of each degree, (·, degree)."""
     return tuple(
         np.asarray(list(combinations_with_replacement(range(parameters), d)), dtype=int).reshape(-1, d)
         for d in range(1, degree + 1)

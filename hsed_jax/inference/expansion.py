@@ -38,7 +38,7 @@ class Expansion(NamedTuple):
         log_density: log density in u, unnormalised.
         gradient: of `log_density`, (p,).
         curvature: minus its Hessian, made positive, (p, p).
-        information: what of the curvature the measurements have told, (p, p).
+        information: the part of the curvature from the measurements, (p, p).
         predicted: outputs of the experiments, SI, (n, J).
         ok: 1 where the simulation converged, else 0, (n,).
     """

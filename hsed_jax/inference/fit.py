@@ -38,19 +38,19 @@ class Fit(Tabular):
     """Result of a calibration.
 
     Attributes:
-        posterior: what was calibrated.
-        data: on what.
+        posterior: the calibrated one.
+        data: the fitted data.
         maximum: the MAP (Eq. 6) with its Gauss–Newton covariance and the Laplace evidence.
         chains: draws of the posterior.
         convergence: R-hat, bulk ESS, divergences.
         units: SI unit of each parameter, by name.
-        chi2_per_datum: mean square of what the model leaves, in units of the declared noise; None where none is declared.
-        p_value: probability that the declared noise alone leaves so much.
-        is_inflated: whether what the model leaves beyond the declared noise was counted as error.
-        inflation: by how much that made the error of each output larger than what is declared, (G,); None: not at all.
-        discrepancy: of the model, where it was learned with the parameters.
-        support: what that is a function of.
-        possible: what is physically possible of each parameter of the model, SI, by name (`hsed_jax.inference.leaning`).
+        chi2_per_datum: mean square of the residual in units of the declared noise; None without a declared noise.
+        p_value: probability that the declared noise alone causes so large a residual.
+        is_inflated: whether the residual beyond the declared noise counts as error.
+        inflation: factor by which this increases the declared error of each output, (G,); None: no increase.
+        discrepancy: of the model, if it is learned with the parameters.
+        support: the variables of the discrepancy.
+        possible: physically possible range of each parameter of the model, SI, by name (`hsed_jax.inference.leaning`).
     """
 
     posterior: Posterior
@@ -89,12 +89,12 @@ class Fit(Tabular):
 
     @cached_property
     def leaning(self) -> tuple[Leaning, ...]:
-        """The estimates that lean on a bound of their prior which is no physical limit."""
+        """The estimates on a bound of their prior that is not a physical limit."""
         return leaning(self.posterior.priors, self.possible, self.map, self.summary())
 
     @cached_property
     def caution(self) -> str | None:
-        """What a reader must know before using an estimate (`hsed_jax.inference.leaning.caution`), or None."""
+        """The warnings before any use of an estimate (`hsed_jax.inference.leaning.caution`), or None."""
         own = {name: self.map[name] for name in self.posterior.model_names}
         return caution(self.leaning, self.posterior.priors, own, self.summary(), self.units)
 
@@ -133,7 +133,7 @@ class Fit(Tabular):
         return summary(self.discrepancy, self.posterior, self.support)
 
     def correlation_notes(self) -> list[str]:
-        """Sentences on outputs whose noise has a memory, or whose residual is correlated beyond it."""
+        """Sentences on outputs whose noise is autocorrelated, or whose residual is correlated beyond it."""
         weights, memory = np.asarray(self.data.weights), np.asarray(self.data.memory)
         return correlation_notes(self.posterior.outputs, self.posterior.groups, weights, memory)
 
@@ -151,8 +151,9 @@ class Fit(Tabular):
         return tuple(np.asarray(one) for one in found)
 
     def levels(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """What varies: by level and parameter its `mean` (the centre of the population) and `spread` (of a positive parameter
-        that of its logarithm), its value `of` each member, and that of an `untested` one; as `summary` has them, SI."""
+        """The varying parameters: by level and parameter the `mean` (the centre of the population) and `spread` (for a
+        positive parameter that of its logarithm), its value `of` each member, and that of an `untested` one; as `summary` has
+        them, SI."""
         known, found = self.summary(), {}
         levels = self.posterior.population.levels
         for number, (level, draws) in enumerate(zip(levels, self.of_members, strict=True)):
@@ -230,12 +231,12 @@ def fit(
         settings: sizes of the sample, and by which sampler.
         key: of the random numbers.
         units: SI units of the parameters, for reports.
-        errors: of the outputs: whether their noise may have a memory, and whether what the model leaves counts as error.
+        errors: of the outputs: whether their noise may be autocorrelated, and whether the residual counts as error.
         start: parameters of the model (SI, without inferred errors) to start one of the searches from.
         watch: follows the calibration.
         seconds: budget of NUTS.
-        support: what a discrepancy of quantities is a function of.
-        possible: what is physically possible of each parameter of the model, SI, by name.
+        support: the variables of a discrepancy of quantities.
+        possible: physically possible range of each parameter of the model, SI, by name.
     """
     watch, points = watch or Watch(), posterior.starts(starts)
     if start is not None:

@@ -3,14 +3,14 @@ r"""Importance sampling: draws of a Student t, weighted to be exact for a densit
 A posterior is nearly Gaussian around its mode.  So with a proposal of heavier tails nearly every simulation is an independent
 draw, where a chain needs dozens of simulations for one.  The mean of the weights is the evidence $Z = \int p(x)\,dx$.  The
 draws come in rounds, and the proposal $t_r$ of each round learns its centre and its spread from all earlier draws.  All draws
-count, weighted by the mixture of the proposals,
+are used, weighted by the mixture of the proposals,
 
 $$w_s = \frac{p(x_s)}{\sum_r n_r\,t_r(x_s) / \sum_r n_r},$$
 
-so a proposal may miss a part that another one covers.  Three checks show whether the draws are sufficient: the Pareto shape of
-the weights (below 0.7), the effective number of draws, and a search outside the sampled region, about which weights say
-nothing.  The search makes Metropolis steps from the draws, some of them long, and counts accepted steps that end where the
-proposals have hardly any density.
+so a proposal may miss a part that another one covers.  Three checks show whether the draws are sufficient: the Pareto shape
+of the weights (below 0.7), the effective number of draws, and a search outside the sampled region, about which weights have
+no information.  The search makes Metropolis steps from the draws, some of them long, and counts accepted steps that end where
+the proposals have hardly any density.
 
 Source: Geweke 1989; Cornuet, Marin, Mira & Robert 2012 (adaptive multiple importance sampling); Vehtari, Simpson, Gelman, Yao &
 Gabry 2024 (Pareto smoothed importance sampling).
@@ -27,8 +27,8 @@ from scipy.special import gammaln, logsumexp
 from hsed_jax.physics.batch import TILE
 
 _DEGREES = 5.0
-# Draws of a round: small rounds learn fast, and a block has as many simulations.  The other number is the largest total, relative
-# to the requested draws.
+# Draws of a round: small rounds adapt fast, and a block has the same number of simulations.  The other number is the
+# largest total, relative to the requested draws.
 _EACH, _MOST = 4 * TILE, 2
 # The learning ends when the effective number of draws is this share of their number.
 _GOOD = 0.5
@@ -88,11 +88,11 @@ class Weighted(NamedTuple):
 
     Attributes:
         points: where, (S, p).
-        log_density: there; -inf where there is none, (S,).
+        log_density: there; -inf without one, (S,).
         weights: summing to one, (S,).
         log_evidence: log Z; -inf where no draw has a density.
         shape: Pareto shape of the largest weights.
-        missed: share of steps that ended where the proposals have hardly any density, if it was looked for.
+        missed: share of search steps that ended where the proposals have hardly any density, if the search was made.
     """
 
     points: Points
@@ -109,12 +109,12 @@ class Weighted(NamedTuple):
 
     @property
     def doubt(self) -> str | None:
-        """Why moments of these draws may be wrong, in a sentence; None if they are reliable."""
+        """The reason for doubts about moments of these draws, in a sentence; None if they are reliable."""
         if self.reliable:
             return None
         what = f"Pareto shape {self.shape:.2f}, effective number {self.worth:.0f} of {len(self.points)} draws"
         if self.missed > _MAY_MISS:
-            what = f"{self.missed:.1%} of steps from its draws end where it has hardly any, so a tail is too short"
+            what = f"{self.missed:.1%} of the steps from its draws end where it has hardly any draws, so a tail is too short"
         return f"importance sampling is unreliable here: {what} (calibration.sampler: nuts does not use it)"
 
     @property
@@ -134,12 +134,12 @@ class Weighted(NamedTuple):
 def weigh(
     log_densities: Callable[[Points], Values], proposal: Proposal, draws: int, random: np.random.Generator
 ) -> Weighted:
-    """Draw from around a mode and weigh.
+    """Draw around a mode, and weight the draws.
 
     Arguments:
-        log_densities: of many points; -inf or nan where there is none.
+        log_densities: of many points; -inf or nan without one.
         proposal: to begin with.
-        draws: so many at least, and up to twice as many where they cannot be relied on yet.
+        draws: least number, and up to twice as many while they are unreliable.
         random: the source of the draws.
     """
     points, log_density, rounds, size = np.zeros((0, proposal.center.size)), np.zeros(0), [], min(draws, _EACH)

@@ -31,7 +31,7 @@ class Weighing:
     random: np.random.Generator
 
     def chains(self) -> Chains:
-        """Draws in proportion to their weights, with a doubt where the weights cannot be trusted."""
+        """Draws in proportion to their weights, with a doubt if the weights are unreliable."""
         asked = self.asked
         u, log_density = resampled(self.weights, asked.number, self.random)
         settings = asked.settings._replace(sampler="importance")
@@ -70,7 +70,7 @@ def gaussian(
     """Draws of u from the Gaussian around a mode, and its log density there."""
     start, whitening = np.asarray(maximum.start), np.asarray(maximum.whitening)
     w = generator(key).standard_normal((number, start.size))
-    # The Gaussian has the height of the density at the mode, as in the evidence by Laplace's method.
+    # The Gaussian has the density of the posterior at the mode, as in the evidence by Laplace's method.
     top = float(maximum.log_evidence) - 0.5 * start.size * LOG_2PI - np.linalg.slogdet(whitening)[1]
     return start + w @ whitening.T, top - 0.5 * np.sum(w**2, axis=1)
 
@@ -91,7 +91,7 @@ def independent(
         log_density: log density of each.
         step_size: of NUTS, to begin the next adaptation from.
         settings: the number of chains and draws, and the sampler.
-        worth: number of independent draws that they are worth.
+        worth: effective number of draws.
     """
     shape = (settings.chains, settings.draws)
     arrays = (

@@ -1,8 +1,9 @@
-"""Estimates that lean on a bound of their prior.  If the bound is no physical limit, the prior excludes what the data ask for.
+"""Estimates on a bound of their prior. If the bound is not a physical limit, the prior excludes the values that fit the data
+best.
 
-A truncated posterior does not show how wrong the bound is, and an effect that replaces the excluded values gains evidence from
-it.  So the warning comes before every other result of a calibration, and a diagnosis names an effect only after the bound was
-opened.
+A truncated posterior does not show how wrong the bound is, and an effect that replaces the excluded values gains evidence
+from it.  Therefore the warning is the first result of a calibration, and a diagnosis names an effect only after it has
+removed the bound.
 """
 
 import math
@@ -15,7 +16,7 @@ from hsed_jax.inference.priors import Prior
 
 Range = tuple[float, float]
 ANYTHING: Range = (-math.inf, math.inf)
-"""What is possible of a parameter of which nothing is known."""
+"""The possible range of a parameter without known limits."""
 
 # As shares of the width of the prior: an estimate on a bound, to the accuracy of a search; and an estimate near a bound, if the
 # posterior reaches the bound within so many of its standard deviations.
@@ -25,14 +26,14 @@ _WIDTH = 0.9
 
 
 class Leaning(NamedTuple):
-    """An estimate on a bound of its prior that is no physical limit.
+    """An estimate on a bound of its prior that is not a physical limit.
 
     Attributes:
         parameter: its name.
         value: θ_MAP, SI.
         bound: that it leans on, SI.
         side: `lower` or `upper`.
-        prior: both bounds, SI; infinite where there is none.
+        prior: both bounds, SI; infinite without one.
     """
 
     parameter: str
@@ -53,12 +54,12 @@ def leaning(
     estimates: Mapping[str, float],
     posterior: Mapping[str, Mapping[str, float]],
 ) -> tuple[Leaning, ...]:
-    """The estimates that lean on a bound of their prior which is no physical limit.
+    """The estimates on a bound of their prior that is not a physical limit.
 
     Arguments:
         priors: of the parameters, by name.
-        possible: what is physically possible of each, SI; of what is not in it nothing is known, and zero is taken for a limit
-            of a prior that has no other bound.
+        possible: physically possible range of each, SI. A parameter without an entry has no known limits, and zero counts as
+            a limit of a prior without another bound.
         estimates: θ_MAP by name, SI, of the parameters to look at.
         posterior: `sd` of each, the standard deviation, SI.
     """
@@ -109,10 +110,10 @@ def caution(
     posterior: Mapping[str, Mapping[str, float]],
     units: Mapping[str, str],
 ) -> str | None:
-    """The warnings before any use of the estimates: which of them lean, and which lie outside their own 90 % interval.
+    """The warnings before any use of the estimates: those on a bound, and those outside their own 90 % interval.
 
     Arguments:
-        leaning: the estimates that lean.
+        leaning: the estimates on bounds.
         priors: by name.
         estimates: θ_MAP of the model's own parameters by name, SI.
         posterior: `sd`, `q05` and `q95` of each, SI.
@@ -132,15 +133,15 @@ def caution(
 
 def _leaning_words(found: Sequence[Leaning], units: Mapping[str, str]) -> str:
     what, excluding, them = (
-        ("estimates lean on bounds of their priors that are no physical limits", "these priors exclude", "them")
+        ("estimates are on bounds of their priors that are not physical limits", "these priors exclude", "them")
         if len(found) > 1
-        else ("an estimate leans on a bound of its prior that is no physical limit", "this prior excludes", "it")
+        else ("an estimate is on a bound of its prior that is not a physical limit", "this prior excludes", "it")
     )
     each = ", ".join(
         f"{one.parameter} = {_quantity(one.parameter, one.value, units)} on the {one.side} bound of {_range(one.prior)}"
         for one in found
     )
-    return f"{what}: {each}; the data ask for values that {excluding}: widen {them} and calibrate again before an effect is named"
+    return f"{what}: {each}; {excluding} values that fit better: widen {them} and calibrate again before an effect is named"
 
 
 def _quantity(name: str, value: float, units: Mapping[str, str]) -> str:

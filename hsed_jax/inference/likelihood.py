@@ -51,10 +51,10 @@ class Error(NamedTuple):
         size: s, declared (a number) or inferred (its prior).
         is_relative: whether c is the size of the quantity or the RMS of the history; else 1, and s is in SI.
         correlated: whether the noise of a history is autocorrelated; None: only if its size is declared.
-        inflate: where the model leaves more than the declared error, that counts as error, too.
-        discrepancy: whether how wrong the model is beyond the error is learned.
-        of_measured: whether c of a relative error is given by what was measured (Gaussian); else a quantity's error is one of the
-            logarithm of what is predicted.
+        inflate: whether a residual beyond the declared error counts as error, too.
+        discrepancy: whether the model discrepancy beyond the error is learned.
+        of_measured: whether the measurement gives c of a relative error (Gaussian); otherwise a quantity has an error of the
+            logarithm of the prediction.
     """
 
     size: Union[float, "Prior"]
@@ -75,7 +75,7 @@ class Columns(NamedTuple):
 
     Attributes:
         is_relative: whether the error of a column is relative, (J,).
-        of_measured: whether it is relative to what was measured, (J,).
+        of_measured: whether it is relative to the measurement, (J,).
         members: 1 where a column belongs to an output, (J, G).
     """
 
@@ -85,12 +85,12 @@ class Columns(NamedTuple):
 
     @property
     def is_quantity(self) -> Bool[np.ndarray, " J"]:
-        """Which columns are outputs by themselves, and not samples of a history."""
+        """The columns that are quantities instead of samples of a history."""
         return self.members.sum(axis=0)[self.members.argmax(axis=1)] == 1
 
     @property
     def is_logarithmic(self) -> Bool[np.ndarray, " J"]:
-        """Which columns have an error of their logarithm."""
+        """The columns with an error of the logarithm."""
         return self.is_relative & self.is_quantity & ~self.of_measured
 
 
@@ -99,7 +99,7 @@ class Decorrelation(Protocol):
 
     @property
     def log_determinant(self) -> Float[Array, ""]:
-        """Of the covariance C of z."""
+        """Log determinant of the covariance C of z."""
         ...
 
     def __call__(self, z: Float[Array, "n J"]) -> Float[Array, " k"]:
@@ -113,13 +113,13 @@ class Data(NamedTuple):
     Attributes:
         conditions: conditions of the experiments, leading axis n.
         values: measured outputs, SI, shape (n, J).
-        weights: 1 where measured and used, 0 where missing or padding, shape (n, J); between them where samples repeat
-            one another, so that they count for as many as they are worth.
-        gaps: time since the sample before of the same history [s], infinite where there is none, shape (n, J).
+        weights: 1 where measured and used, 0 where missing or padding, shape (n, J); between 0 and 1 for correlated samples,
+            so that they count for their effective number.
+        gaps: time since the previous sample of the same history [s], infinite without one, shape (n, J).
         memory: ρ, correlation of the noise with that of the sample before, shape (n, J).
         count: how many experiments there are; rows beyond are padding.
         members: of each experiment its member of every level of a population, shape (n, L).
-        decorrelation: of the residuals where the model's discrepancy is learned, in place of memory and weights.
+        decorrelation: of the residuals where the model's discrepancy is learned, instead of memory and weights.
     """
 
     conditions: PyTree
@@ -139,7 +139,7 @@ def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np
         conditions: of the experiments, leading axis n.
         measured: SI, (n, J); anything where not used.
         used: where there is a measurement to use, (n, J) bool.
-        gaps: time since the sample before of the same history [s], (n, J); infinite where there is none.
+        gaps: time since the previous sample of the same history [s], (n, J); infinite without one.
         count: how many experiments there are; rows beyond are padding.
     """
     used = used & (np.arange(len(measured)) < count)[:, None]
@@ -179,7 +179,7 @@ def sigma_of(
     ok: Float[Array, " n"],
     data: Data,
 ) -> Float[Array, "n J"]:
-    """σ = s·c of every column, SI; one where nothing is used or the simulation diverged."""
+    """σ = s·c of every column, SI; one without a used sample, and for a diverged simulation."""
     used = (data.weights > 0).astype(float)
     counts = (used > 0) & (ok[:, None] > 0)
     if not columns.is_relative.any():
@@ -210,7 +210,7 @@ def compared(
     ok: Float[Array, " n"],
     data: Data,
 ) -> tuple[Float[Array, "n J"], Float[Array, "n J"]]:
-    """z, and log σ of the density of y; both zero where nothing is used, and where the simulation diverged."""
+    """z, and log σ of the density of y; both zero without a used sample, and where the simulation diverged."""
     counts = (data.weights > 0) & (ok[:, None] > 0)
     sigma = sigma_of(errors, columns, predicted, ok, data)
     z, log_sigma = (predicted - data.values) / sigma, jnp.log(sigma)
@@ -225,7 +225,7 @@ def compared(
 
 
 def sd_of_logarithm(errors: Float[Array, " J"]) -> Float[Array, " J"]:
-    """Standard deviation of the logarithm of what is measured with relative errors s."""
+    """Standard deviation of the logarithm of a measurement with relative error s."""
     return _moments(errors)[1]
 
 

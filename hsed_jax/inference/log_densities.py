@@ -34,9 +34,9 @@ def log_densities(
         posterior: of a study.
         data: measured outputs.
         points: u.
-        watch: hears how far it is.
-        name: to keep it under; what was kept under it is not calculated again.
-        seconds: budget, what was kept included.
+        watch: receives the progress.
+        name: of the stored results; results that are stored under it are reused.
+        seconds: time budget, including earlier sessions.
     """
     watch = watch or Watch()
     spent, found = 0.0, np.full(len(points), np.nan)
@@ -125,7 +125,7 @@ def constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "N
 def _simulated(
     posterior: Posterior, data: Data, u: Float[np.ndarray, "k p"]
 ) -> tuple[Float[np.ndarray, "k n J"], Float[np.ndarray, "k n"], Float[np.ndarray, " k"]]:
-    """What `simulated` gives, of the points of a call."""
+    """The output of `simulated` for the points of a call."""
     outputs, ok = outputs_at(posterior, data, u)
     size = points_of_a_call(data)
     density = np.asarray(_densities(posterior, data, *(filled(values, size) for values in (u, outputs, ok))))[: len(u)]

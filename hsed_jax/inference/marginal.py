@@ -1,5 +1,5 @@
-r"""The marginal likelihood of the linearised model with its parameters integrated: the measure by which a discrepancy is
-learned.
+r"""The marginal likelihood of the linearised model with its parameters integrated out. A discrepancy is learned by maximising
+it.
 
 With z the residuals at the MAP, J their derivatives along u, Λ the curvature of the prior there, and C the covariance of z from
 noise and discrepancy,

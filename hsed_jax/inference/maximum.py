@@ -49,15 +49,15 @@ class Maximum(NamedTuple):
     """The best of several starts: a mode of the posterior, and the others.
 
     Attributes:
-        u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).  Of a population they are those of
-            `start`: the joint density of spreads and offsets has its mode at spreads that no measurement supports.
+        u, theta: unconstrained and physical (SI) coordinates of the MAP (Eq. 6), shape (p,).  For a population they are those
+            of `start`: the joint density of spreads and offsets has its mode at spreads that the measurements do not support.
         log_posterior: log π(θ)L(θ) there.
         covariance: Gauss–Newton covariance of θ there, prior included, shape (p, p).
         log_evidence: log Z by Laplace's method (Tierney & Kadane 1986), of this mode alone.
         start: unconstrained coordinates of the mode of the density in u, where a sampler of u starts, shape (p,).
         whitening: L with u = start + L w, w nearly standard normal, shape (p, p).
         converged: whether the descent ended where no step has a predicted gain.
-        others: modes besides this one that hold a share of the posterior that matters; without others of their own.
+        others: further modes with a relevant share of the posterior; their own `others` are empty.
     """
 
     u: Float[Array, " p"]
@@ -81,7 +81,7 @@ class Maximum(NamedTuple):
         return np.asarray(jax.nn.softmax(jnp.asarray([mode.log_evidence for mode in self.modes])))
 
     def warning(self, names: tuple[str, ...]) -> str | None:
-        """One sentence that says which modes there are, or None if there is one."""
+        """One sentence that lists the modes, or None if there is only one."""
         if not self.others:
             return None
         places = [
@@ -127,7 +127,7 @@ class _Search:
         u: where it is, (p,).
         here: the posterior there.
         is_settled: whether no step has a predicted gain.
-        is_over: whether it met a better one, or came where there is no step.
+        is_over: whether it met a better one, or has no further step.
     """
 
     def __init__(self, u: Float[np.ndarray, " p"], here: Expansion):
@@ -189,7 +189,7 @@ def _descend(posterior: Posterior, data: Data, searches: Sequence[_Search], most
 
 
 def _has_met(one: _Search, other: _Search) -> bool:
-    """Whether a descent has come to the place of a better one."""
+    """Whether a descent has reached a better one."""
     # A bound lies at infinity of u, where distances have no meaning.
     apart = _held(other.u) - _held(one.u)
     behind = float(other.here.log_posterior - one.here.log_posterior)

@@ -1,6 +1,6 @@
 """The most probable parameters, with the errors, the weights of the samples and the discrepancy that belong to them.
 
-These follow from the residual, which depends on them a little: they and the parameters are found in turn.
+These follow from the residual, which depends weakly on them. They and the parameters are therefore computed alternately.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ _ROUNDS, _SETTLED = 3, 0.02
 def read_back(
     posterior: Posterior, data: Data, kept: Sequence[np.ndarray], errors: Sequence[Error]
 ) -> tuple[Posterior, Data, Maximum, "AbstractDiscrepancy | None"]:
-    """What `most_probable` found, from the arrays that were kept of it."""
+    """The result of `most_probable`, from its stored arrays."""
     size = len(arrays_of(posterior.population))
     declared, rest = kept[0], kept[1 + size :]
     posterior = posterior.inflated(declared / np.asarray(posterior.declared))
@@ -63,8 +63,8 @@ def most_probable(
         data: measured outputs.
         points: starts of the search.
         errors: of the outputs.
-        support: what a discrepancy of quantities is a function of.
-        is_known: whether the first start is about the MAP: what the model leaves there tells the errors to begin with.
+        support: the variables of a discrepancy of quantities.
+        is_known: whether the first start is near the MAP; then its residual gives the initial errors.
     """
     declared, process, is_centred = posterior, None, False
     if any(error.discrepancy for error in errors):
@@ -94,7 +94,7 @@ def _judged(
     support: "Support | None",
     process: "AbstractDiscrepancy | None",
 ) -> tuple[Posterior, Data, "AbstractDiscrepancy | None", bool]:
-    """Errors, weights of the samples and discrepancy by what the model leaves at u, and whether they are as before."""
+    """Errors, weights of the samples and discrepancy from the residual at u, and whether they are unchanged."""
     # By the program that finds the MAP: another one takes seconds to compile.
     (there,) = expand(posterior, data, [np.asarray(u)])
     standardised = np.asarray(against_declared(declared, data, posterior, u, there.predicted, there.ok))
@@ -131,7 +131,7 @@ def against_declared(declared, data, posterior, u, predicted, ok) -> Float[Array
 
 
 def noise_left(standardised: np.ndarray, data: Data, posterior: Posterior, errors: Sequence[Error]) -> NoiseEstimate:
-    """The noise of each output by what the model leaves, (n, J) in units of the declared errors."""
+    """The noise of each output from the residual, (n, J) in units of the declared errors."""
     used, gaps = np.asarray(data.weights) > 0, np.asarray(data.gaps)
     said = [error.correlated for error in errors] or [False] * len(posterior.outputs)
     return estimate_noise(standardised, gaps, used, posterior.groups, posterior.is_declared, said)

@@ -1,9 +1,10 @@
 r"""Draws of an approximate posterior, moved until they are draws of the posterior itself.
 
-Weights give the right density only where the approximation has draws, and if few draws carry most of the weight, little is left
-of a tail.  Steps that leave the posterior invariant correct both (resample and move; Gilks & Berzuini 2001).  Each draw takes
-the step $x' = x + \gamma(x_a - x_b)$ along the difference of two others and is accepted by Metropolis' rule (differential
-evolution; ter Braak 2006).  So the steps have the width of the draws in every direction, and need no derivative.
+Weights give the right density only where the approximation has draws, and if few draws carry most of the weight, little is
+left of a tail.  Steps that leave the posterior invariant correct both (resample and move; Gilks & Berzuini 2001).  Each draw
+takes the step $x' = x + \gamma(x_a - x_b)$ along the difference of two others and is accepted by Metropolis' rule
+(differential evolution; ter Braak 2006).  The steps therefore have the width of the draws in every direction, and need no
+derivative.
 
 Along a thin bent ridge it takes hundreds of such steps to forget the initial position.  An emulator $\tilde\pi$ makes a hundred
 of them for the cost of a few simulations.  Their end is then one proposal for the posterior, accepted with the probability
@@ -54,8 +55,8 @@ class Moved(NamedTuple):
     Attributes:
         points: u, (N, p).
         log_density: log density there, (N,).
-        settled: whether they have forgotten where they were half-way, and are as wide and in the same place as then.
-        worth: how many independent draws they are at most.
+        settled: whether they are independent of their positions half-way, with the same mean and width.
+        worth: upper bound of the effective number of draws.
         sweeps: simulations of each draw that moved.
     """
 
@@ -79,12 +80,12 @@ def moved(
     """Move draws until they have settled, or the budget of time or of sweeps ends.
 
     Arguments:
-        log_densities: log density of many points, -inf where there is none.
-        wander: where steps by an emulator lead from some draws beside others, and what its log density is there beyond that at
-            the draws (`wandered`).
+        log_densities: log density of many points, -inf without one.
+        wander: the ends of emulator steps from some draws, given other draws, and the increase of its log density
+            (`wandered`).
         points, log_density: draws in u, and their log density.
         random: the source of the steps.
-        watch: hears how far it is, and keeps the draws when they have moved.
+        watch: receives the progress, and stores the moved draws.
         name: to keep them under.
         seconds: budget.
     """
@@ -150,7 +151,7 @@ def wandered(
         data: measured outputs.
         emulator: decides on the steps.
         going: draws that move, in u.
-        standing: draws that they learn from.
+        standing: draws whose differences give the steps.
         key: of the random numbers.
     """
 
@@ -171,7 +172,7 @@ def wandered(
 
 
 def _stepped(going: Float[Array, "N p"], standing: Float[Array, "M p"], key: PRNGKeyArray) -> Float[Array, "N p"]:
-    """A step of each draw along the difference of two that stand."""
+    """A step of each draw along the difference of two standing draws."""
     count, (many, size) = len(going), standing.shape
     of_first, of_second, of_kind, of_share, of_jitter = jax.random.split(key, 5)
     first = jax.random.randint(of_first, (count,), 0, many)

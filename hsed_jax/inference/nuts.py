@@ -1,7 +1,7 @@
 """NUTS (numpyro) in whitened coordinates with vectorised chains, and the diagnostics of its draws.
 
 The posterior of a calibration is nearly Gaussian.  Whitened by the Gauss–Newton curvature at its mode it is nearly standard
-normal, so no mass matrix has to be learned.  Only the step size is adapted, from that of the step before.
+normal, so no mass matrix is adapted. Only the step size is adapted, from that of the previous step.
 
 One program serves blocks of any length.  Between blocks the chains can be watched and stopped.
 """
@@ -45,9 +45,9 @@ class Chains(NamedTuple):
         step_size: the adapted step size of each chain, shape (chains,).
         sampler: that drew them: `nuts`, `importance` or `laplace` (of the Gaussian around the mode, not of the posterior).
         worth: number of independent draws that they are worth at most.
-        emulator_error: of the log density of the emulator that NUTS drew by, before the draws were weighed [nats]; None where it
-            drew by the simulator.
-        doubt: why they are less than what was asked for, in a sentence; None where they are not.
+        emulator_error: of the log density of the emulator that NUTS used, before the weighting [nats]; None if NUTS used the
+            simulator.
+        doubt: the reason if they are less than requested, in a sentence; otherwise None.
     """
 
     theta: Float[Array, "chains draws p"]
@@ -66,10 +66,10 @@ class ChainState(NamedTuple):
 
     Attributes:
         state: numpyro's, of each chain.
-        kept: whitened draws, potential, divergence and leapfrog steps of every iteration, adaptation first; zero where there
-            was none yet, (warmup + draws, chains, …).
+        kept: whitened draws, potential, divergence and leapfrog steps of every iteration, adaptation first; zero for later
+            iterations, (warmup + draws, chains, …).
         done: iterations that were made.
-        work: leapfrog steps they took, where chains wait for the longest trajectory among them.
+        work: their leapfrog steps; chains wait for the longest trajectory among them.
     """
 
     state: HMCState
@@ -113,16 +113,16 @@ def advance(
     chain_state: ChainState,
     most: Int[Array, ""],
 ) -> ChainState:
-    """Let chains continue to their end or for so many leapfrog steps.  The place of a stop changes no draw.
+    """Let chains continue to their end, or for a number of leapfrog steps. The draws do not depend on the position of a stop.
 
     Arguments:
         posterior: of the study.
         data: measured outputs.
         maximum: the mode and the whitening.
         settings: sizes.
-        emulator: takes the place of the simulator; None for the simulator itself.
+        emulator: replaces the simulator; None for the simulator itself.
         chain_state: the chains.
-        most: leapfrog steps after which no iteration is begun.
+        most: number of leapfrog steps after which no iteration begins.
     """
     place, frame = maximum.start, maximum.whitening
 
@@ -140,7 +140,7 @@ def advance(
         return state._replace(potential_energy=potential, z_grad=slope)
 
     start, draw = hmc(potential_fn_gen=potential_of, algo="NUTS")
-    # numpyro's kernel learns its settings from its start, whose state is that of no chain here.
+    # numpyro's kernel takes its settings from its initial state, which is not that of a chain here.
     nowhere = ParamInfo(place, jnp.zeros(()), place)
     _started(start, nowhere, settings, jnp.ones(()), jax.random.key(0), data)
     move = jax.vmap(lambda state: draw(state, (data,)))
@@ -186,8 +186,9 @@ def _started(start, at: ParamInfo, settings: Settings, step_size: Float[Array, "
 def arrived(
     posterior: Posterior, maximum: Maximum, chain_state: ChainState, settings: Settings
 ) -> tuple[Any, Array, Array]:
-    """What chains came to, adaptation left out: θ, log density in u, divergence and leapfrog steps of every draw; its u; and the
-    step sizes.  Those that were not made yet mean nothing."""
+    """The draws of chains without adaptation: θ, log density in u, divergence and leapfrog steps of every draw; its u;
+    and the step sizes. Draws that are not made yet have no meaning.
+    """
     w, potential, diverging, steps = (jnp.swapaxes(x[settings.warmup :], 0, 1) for x in chain_state.kept)
     u = maximum.start + w @ maximum.whitening.T
     theta = jax.vmap(jax.vmap(posterior.constrain))(u)
@@ -202,7 +203,7 @@ class Convergence(NamedTuple):
     divergences: int
 
     def warning(self, names: tuple[str, ...]) -> str | None:
-        """One sentence that says what is wrong, or None."""
+        """The problems of the draws in one sentence, or None."""
         faults = []
         for name, rhat, ess in zip(names, self.rhat, self.ess_bulk, strict=True):
             if not rhat <= 1.01:

@@ -1,7 +1,7 @@
 """The outputs of an experiment that are compared with the model: its quantities, or its histories.
 
-An observation knows how to predict its outputs for one experiment, and how to turn measured experiments into padded `Data`.
-Outputs are columns; columns that share an error (all samples of a channel) form a group.
+An observation predicts its outputs for one experiment, and converts measured experiments into padded `Data`. Outputs are
+columns; columns that share an error (all samples of a channel) form a group.
 """
 
 import dataclasses
@@ -42,10 +42,11 @@ class Grid:
     Attributes:
         samples: of a history; shorter records are padded.
         every: integration steps from one sample to the next.
-        change: of an imposed elongation, the largest change in one step [m]: each interval then has steps of its own number, and
-            `every` is 1; None where every interval has as many.
+        change: for an imposed elongation, the largest change in one step [m]: each interval then has its own number of steps,
+            and `every` is 1; None where every interval has as many.
         steps: of the integration; a record that needs fewer is padded with steps of length zero.
-        from_zero: whether an imposed record that begins loaded gets a sample before it; a model that is called gets it as it is.
+        from_zero: whether an imposed record that begins loaded gets a sample before it; a model that is a function gets the
+            unchanged record.
     """
 
     samples: int
@@ -64,7 +65,7 @@ class Grid:
         if self.change is None:
             return np.full(len(record) - 1, self.every)
         if not (len(record) > 1 and np.isfinite(record["elongation"]).all() and np.all(np.diff(record.time) > 0)):
-            return np.ones(len(record) - 1, dtype=int)  # who asks for the motion is told
+            return np.ones(len(record) - 1, dtype=int)  # an error is raised if the motion is requested
         shares = np.arange(_AT_A_TURN + 1) / _AT_A_TURN
         moved = np.diff(_curve(record)(record.time[:-1, None] + np.diff(record.time)[:, None] * shares), axis=1)
         path = np.abs(moved).sum(axis=1)
@@ -83,8 +84,8 @@ class Quantities:
     Attributes:
         names: of the quantities.
         grid: where the excitation is recorded; None where the inputs define it.
-        excitation: from inputs to what drives an experiment, for records that do not tell.
-        masses: how many the structure has.
+        excitation: from inputs to the excitation of an experiment, for records without it.
+        masses: number of masses of the structure.
     """
 
     names: tuple[str, ...]
@@ -102,7 +103,7 @@ class Quantities:
         return lambda parameters, conditions: model.quantities(parameters, conditions, self.names)
 
     def measured(self, experiment: Experiment) -> np.ndarray:
-        """The measured outputs of one experiment, SI, (J,); NaN where there is none."""
+        """The measured outputs of one experiment, SI, (J,); NaN without one."""
         return np.asarray([experiment.quantity(name, self.masses) for name in self.names])
 
     def weights(self, experiment: Experiment) -> np.ndarray:
@@ -110,7 +111,7 @@ class Quantities:
         return np.isfinite(self.measured(experiment)).astype(float)
 
     def gaps(self, time: np.ndarray | None) -> np.ndarray:
-        """Time since the sample before [s], (J,): none, a quantity has no sample before it."""
+        """Time since the previous sample [s], (J,): none, a quantity has no sample before it."""
         return np.full(len(self.names), np.inf)
 
 
@@ -123,7 +124,7 @@ class Histories:
         samples: of the longest record.
         grid: where the excitation is recorded; None where the inputs define it and all records share the times of the
             model's timeline.
-        excitation: from inputs to what drives an experiment, for records that do not tell.
+        excitation: from inputs to the excitation of an experiment, for records without it.
     """
 
     names: tuple[str, ...]
@@ -161,7 +162,7 @@ class Histories:
         return np.isfinite(self.measured(experiment)) * np.tile(inside, len(self.names))
 
     def gaps(self, time: np.ndarray | None) -> np.ndarray:
-        """Time since the sample before of the same channel [s], (J,), infinite for the first and beyond the record.
+        """Time since the previous sample of the same channel [s], (J,), infinite for the first and beyond the record.
 
         Arguments:
             time: of the record's samples; None where all have the timeline's own.
@@ -177,14 +178,14 @@ Observation = Quantities | Histories
 
 @final
 class Outputs(eqx.Module):
-    """From a parameter vector and the conditions of one experiment to its outputs: what a study observes of its model.
+    """From a parameter vector and the conditions of one experiment to its observed outputs.
 
-    What differs between two studies of the same kind (masses, scales) is an array in it, and so an operand of the programs that
-    are compiled for it; a process that looks at a hundred campaigns compiles once.
+    The differences between two studies of the same kind (masses, scales) are arrays in it, and thus operands of its compiled
+    programs: a process with a hundred campaigns compiles once.
 
     Arguments:
         model: the computational model.
-        observation: what of a response is predicted.
+        observation: selects the outputs of a response.
         names: of the parameters, in the order of a parameter vector.
     """
 
@@ -213,14 +214,14 @@ def assemble(
     """Measured experiments as padded data.
 
     Arguments:
-        observation: what is observed.
+        observation: of the study.
         campaign: where the experiments come from (its protocol and units).
         experiments: which of them, in order.
         relative: per output, whether its error is relative.
         size: number of rows to pad to; by default as many as there are experiments.
 
     Raises:
-        UserError: there is nothing to fit, an experiment lacks what its excitation needs, or a relative error is one of zero.
+        UserError: there is nothing to fit, an experiment lacks data of its excitation, or an error is relative to zero.
     """
     if not experiments:
         raise UserError(f"the campaign {campaign.name!r} has no completed experiment to use here")
@@ -317,8 +318,8 @@ def _driven(record: Record, times: np.ndarray, measured: Sequence[str]) -> Any:
 
 
 def _between(record: Record, times: np.ndarray, name: str) -> np.ndarray:
-    """A measured channel between its samples: a cubic spline.  A line would cut off the peaks, by 2 % at 16 samples to a
-    period.
+    """A measured channel between its samples: a cubic spline.  Straight lines would reduce the peaks by 2 % at 16 samples to
+    a period.
     """
     from scipy.interpolate import CubicSpline
 

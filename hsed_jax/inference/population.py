@@ -3,10 +3,9 @@ r"""Parameters that vary between specimens: every member of a level has its own,
 $$\theta_m = \bar\theta\,e^{d_m} \;\text{(positive ones)}\quad\text{or}\quad \theta_m = \bar\theta + d_m, \qquad
   d_m = \sum_{\text{levels}} \tau\,z_m,\qquad z_m\sim N(0,1)$$
 
-The centre $\bar\theta$ has the prior that the study gives the parameter; the spread τ of every level has a prior of its own.
-Levels may lie within each other (bars of a mill): their offsets add up.  So a population is a posterior like any other.  Its
-further parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own
-members.
+The centre $\bar\theta$ has the prior that the study gives the parameter; the spread τ of every level has its own prior.
+Levels may be nested (bars of a mill): their offsets add up.  A population is therefore an ordinary posterior. Its further
+parameters are spreads and standardised offsets, and each experiment is simulated with the parameters of its own members.
 
 The coordinates z are unsuitable for a sampler if the measurements determine $d_m$ better than the population does: then every
 change of τ changes all z.  Therefore the sampler moves $c_m = z_m\sqrt{(s_m^2 + \tau^2)/(s_m^2 + \tau_0^2)}$, where $s_m$ is
@@ -42,7 +41,7 @@ def spread_support(prior: Prior) -> Any:
     """The map from u to a spread.
 
     For small spreads it is the logarithm, which the offsets follow.  For large spreads it is the spread itself, because the
-    density of its logarithm would end like a wall.
+    density of its logarithm would end abruptly.
     """
     if prior.bounds != (0.0, None):
         return prior.to_support
@@ -61,7 +60,7 @@ class Varying(NamedTuple):
         name, column: its name, and where it stands among the parameters of the model.
         is_log: whether its logarithm varies, and not itself.
         spread: prior of τ, of the logarithm or SI.
-        lower, upper: what no member goes beyond, SI.
+        lower, upper: bounds of all members, SI.
     """
 
     name: str
@@ -97,10 +96,10 @@ class Population(eqx.Module):
 
     Arguments:
         levels: the outer ones first.
-        first: how many parameters stand before those of the population.
+        first: number of parameters before those of the population.
 
     Attributes:
-        told: s of each offset, of the scale of its spread; infinite where nothing is told, (K, M) a level.
+        told: s of each offset, of the scale of its spread; infinite without information, (K, M) a level.
         reference: τ₀ of every spread, one array (K,) a level.
     """
 
@@ -188,7 +187,7 @@ class Population(eqx.Module):
         Arguments:
             theta: all parameters.
             center: those of the model, at the centre of the population.
-            members: of each experiment its member of every level, (n, L); they say which outer member one lies within.
+            members: of each experiment its member of every level, (n, L); they determine the outer member of each member.
         """
         rows = jnp.asarray(np.concatenate(self._of_each(members)))
         none = tuple(jnp.zeros((level.shape[0], 1)) for level in self.levels)
@@ -197,7 +196,9 @@ class Population(eqx.Module):
         return tuple(jnp.split(found, ends))
 
     def _of_each(self, members: np.ndarray) -> list[np.ndarray]:
-        """Of each member of a level the members of all levels that it has: itself and what it lies within; else none."""
+        """For each member of a level, its members of all levels: itself and the outer members that contain it;
+        otherwise none.
+        """
         none = np.asarray([len(level.members) for level in self.levels])
         tables = []
         for number, level in enumerate(self.levels):
@@ -219,11 +220,11 @@ class Population(eqx.Module):
     # Coordinates of a sampler.
 
     def released(self, theta: Float[Array, " p"]) -> Float[Array, " p"]:
-        """θ where the offsets in it are c: z in their place."""
+        """θ with z instead of the offsets c."""
         return self._scaled(theta, -1)
 
     def held(self, theta: Float[Array, " p"]) -> Float[Array, " p"]:
-        """The inverse: c in the place of z."""
+        """The inverse: c instead of z."""
         return self._scaled(theta, 1)
 
     def _scaled(self, theta: Float[Array, " p"], sign: int) -> Float[Array, " p"]:
@@ -243,7 +244,7 @@ class Population(eqx.Module):
         return sum(terms, start=jnp.zeros(()))
 
     def settled(self, theta: Float[Array, " p"]) -> Float[Array, " p"]:
-        """The same members with spreads that match the scatter of their offsets, and not much less than the priors say.
+        """The same members with spreads that match the scatter of their offsets, and are not far below their priors.
 
         The joint density is highest at spreads that no measurement supports.
         """

@@ -53,7 +53,7 @@ class Posterior(eqx.Module):
 
     Attributes:
         declared: sizes of the errors, one where it is inferred, (G,).
-        population: what varies between specimens.
+        population: the parameters that vary between specimens.
     """
 
     predict: Predictor
@@ -95,12 +95,12 @@ class Posterior(eqx.Module):
 
     @property
     def priors(self) -> dict[str, Prior]:
-        """Of the parameters that are reported."""
+        """Names of the reported parameters."""
         return dict(zip(self.reported, self._priors, strict=True))
 
     @property
     def reported(self) -> tuple[str, ...]:
-        """The names of the first parameters, which have a meaning of their own; the standardised offsets after them do not."""
+        """The names of the first parameters, which have a physical meaning; the standardised offsets after them have none."""
         return self.names[: len(self._priors)]
 
     @property
@@ -115,7 +115,7 @@ class Posterior(eqx.Module):
 
     @property
     def is_declared(self) -> np.ndarray:
-        """Of each output, whether the size of its error is declared."""
+        """Whether the size of the error is declared, for each output."""
         return ~np.isin(np.arange(len(self.outputs)), [output for output, _ in self._inferred])
 
     def inflated(self, factors: np.ndarray) -> "Posterior":
@@ -180,7 +180,7 @@ class Posterior(eqx.Module):
     def sigma(
         self, theta: Float[Array, " p"], predicted: Float[Array, "n J"], ok: Float[Array, " n"], data: Data
     ) -> Float[Array, "n J"]:
-        """σ of every datum, SI; one where nothing is used or the simulation diverged."""
+        """σ of every datum, SI; one without a used sample, and for a diverged simulation."""
         return sigma_of(self.errors(theta), self._errors, predicted, ok, data)
 
     def _compared(
@@ -340,7 +340,7 @@ class Posterior(eqx.Module):
 
 
 def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any, Any, Any]:
-    """Value, derivative along u, and what else the function returns."""
+    """Value, derivative along u, and the other outputs of the function."""
 
     def twice(u):
         value, more = function(u)

@@ -29,8 +29,9 @@ class Predictor(eqx.Module):
     """One experiment's response turned into the predictions of all, differentiable once.
 
     Arguments:
-        respond: from parameters (p,) and the conditions of one experiment to its outputs (J,) and whether it converged.  Where
-            it is an `eqx.Module`, its arrays are operands of the compiled programs, which all equal ones share.
+        respond: from parameters (p,) and the conditions of one experiment to its outputs (J,) and whether it converged.
+            Where it is an `eqx.Module`, its arrays are operands of the compiled programs, and equal objects share these
+            programs.
     """
 
     respond: Respond
@@ -101,8 +102,10 @@ def _values_and_jacobian(rest, arrays, batch):
 
 
 def _over_all(tile_function: Callable, fewer: int = 1) -> Callable:
-    """Turn a function of a tile into one of parameters (C, 1 or n, p), conditions (n, …) and the number of these that matter to
-    each of the C; its batch is flat, whatever is vmapped.  Its tiles have so many times fewer simulations."""
+    """Convert a function of a tile into one of parameters (C, 1 or n, p), conditions (n, …) and the number of relevant
+    conditions for each of the C. Its batch is flat for any use of `vmap`.  Its tiles have so many times fewer
+    simulations.
+    """
 
     @custom_vmap
     def run(arrays, thetas, conditions, counts):

@@ -1,7 +1,7 @@
 """Priors: a distribution by name, and the functions that calibration needs of it.
 
-A check of a study needs bounds and single quantiles.  For the usual families these have a closed form. numpyro takes as long to
-load as the rest of a check, so it is loaded only for other functions, or to explain what is wrong.
+A check of a study needs bounds and single quantiles.  For the usual families these have a closed form. numpyro takes as long
+to load as the rest of a check, so it is loaded only for other functions, or to explain a fault.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,11 +22,11 @@ _STANDARD = NormalDist()
 
 
 class _Family(NamedTuple):
-    """A family whose bounds and quantiles are told from its arguments.
+    """A family with bounds and quantiles in closed form.
 
     Attributes:
         arguments: their names, in numpyro's order.
-        is_one: whether there is a member of these arguments.
+        is_one: whether the arguments are valid.
         bounds: limits of the support.
         quantile: from the arguments and shares between 0 and 1, one number or an array.
     """
@@ -112,7 +112,7 @@ class Prior:
 
     @cached_property
     def bounds(self) -> Bounds:
-        """Limits of the support; None where there is none."""
+        """Limits of the support; None for a missing limit."""
         if (member := self._member) is not None:
             return member.family.bounds(*member.arguments)
         from hsed_jax.inference.distributions import limits
@@ -125,7 +125,7 @@ class Prior:
         return _usual(self.name, self.arguments)
 
     def __post_init__(self):
-        # The distribution itself reports what is wrong.
+        # The distribution itself reports the fault.
         assert self._member is not None or self.distribution is not None
 
     def log_density(self, value: Float[Array, "..."]) -> Any:
@@ -202,6 +202,6 @@ def _usual(name: str, arguments: Any) -> _Member | None:
 @cache
 def _one_quantile(prior: Prior, probability: float, precision: Any) -> Any:
     """One quantile of a prior, cached: it takes hundreds of single operations and is asked for often."""
-    del precision  # another one is another number
+    del precision  # two different numbers
     with jax.ensure_compile_time_eval():
         return prior._quantile(probability)

@@ -1,7 +1,7 @@
 """Draws of a posterior by the sampler that a study asks for (`hsed_jax.inference.samplers`).
 
-No sampler crosses from one mode of a posterior to another.  So each mode is sampled alone, in its own frame, and the draws are
-mixed by the shares of the modes in the posterior.
+No sampler crosses from one mode of a posterior to another.  Each mode is therefore sampled alone, in its own frame, and the
+draws are mixed by the shares of the modes in the posterior.
 """
 
 import jax
@@ -41,7 +41,7 @@ def draw(
         key: of the random numbers.
         settings: sizes, and by which sampler.
         watch: follows NUTS.
-        seconds: budget of NUTS; `doubt` says what it left undone.
+        seconds: budget of NUTS; `doubt` lists the omitted steps.
     """
     asked = Requested(posterior, data, maximum, step_size, key, settings, watch or Watch(), seconds)
     if not maximum.others:

@@ -1,6 +1,7 @@
-"""A search for the mode of a posterior without derivatives, for models whose response jumps; its result starts the descents.
+"""A search for the mode of a posterior without derivatives, for models with a discontinuous response; its result starts the
+descents.
 
-Differential evolution (Storn & Price 1997) on shares of the priors: every parameter lies between 0 and 1, whatever its unit.
+Differential evolution (Storn & Price 1997) on shares of the priors: every parameter lies between 0 and 1.
 """
 
 from typing import Any, cast
@@ -33,7 +34,7 @@ def searched(
         data: measured outputs.
         simulations: budget; each point takes one for each experiment.
         seed: of the random numbers.
-        watch: hears that it searches.
+        watch: receives the progress.
     """
     from scipy.optimize import differential_evolution
 

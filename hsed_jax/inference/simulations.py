@@ -2,8 +2,8 @@ r"""Simulations of all experiments at many points of u, and their derivatives: o
 
 Derivatives are central differences along the parameters of the model,
 $\partial f/\partial\theta_k \approx [f(\theta + h_k e_k) - f(\theta - h_k e_k)]/2h_k$, with $h_k = h\,|d\theta_k/du_k|$ and u
-the unconstrained coordinates, which are of order one.  So no second program with tangents is compiled.
-The parameters of errors and the offsets of a population cost no simulation.
+the unconstrained coordinates, which are of order one.  Therefore no second program with tangents is compiled. The parameters
+of errors and the offsets of a population cost no simulation.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -21,14 +21,14 @@ from hsed_jax.inference.predict import Predictor
 from hsed_jax.physics.batch import NARROW, TILE
 from hsed_jax.programs import program
 
-# Simulations of a call of the program, and numbers that it gives at most: it writes them all, asked for or not.
+# Number of simulations of a call of the program, and the limit of its output numbers; a call always writes all of them.
 _LANES, _NUMBERS = 4 * TILE, 2**18
 # h: outputs of an external program have about six correct digits.  The truncation error is about a millionth.
 _DIFFERENCE = 1e-3
 
 
 def points_of_a_call(data: Data) -> int:
-    """How many points are simulated side by side."""
+    """Number of points that are simulated together."""
     experiments, outputs = data.values.shape
     lanes = min(_LANES, max(_NUMBERS // outputs, NARROW))
     return max(1, lanes // experiments)

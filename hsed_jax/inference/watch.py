@@ -1,4 +1,4 @@
-"""How a long calculation is watched from outside: its reports, and the state that it keeps in order to continue.
+"""Progress of a long calculation: its reports, and the state that it stores in order to continue.
 
 A calculation gets a `Watch` and knows of no bars and no files.
 """
@@ -18,25 +18,27 @@ if TYPE_CHECKING:
 
 
 class Watch:
-    """Follows a calculation; this one neither shows nor keeps anything."""
+    """Follows a calculation; this class neither shows nor stores anything."""
 
     def report(self, what: str) -> None:
-        """Hear what the calculation does now."""
+        """Receive the current activity of the calculation."""
 
     def count(self, done: int, total: int) -> None:
-        """Hear how much of it is done."""
+        """Receive the completed share."""
 
     def lead(self, content: dict[str, Any]) -> None:
-        """Hear the leading result so far, in the words of `summary.json`."""
+        """Receive the best result so far, in the words of `summary.json`."""
 
     def fitted(self, predicted: np.ndarray, data: "Data", groups: np.ndarray) -> None:
-        """Hear what the most probable parameters predict (n, J) before anything is drawn; `groups`: the output of each column."""
+        """Receive the predictions (n, J) of the most probable parameters before the sampling; `groups`: the output of
+        each column.
+        """
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
-        """Keep a state under a name, instead of an earlier one."""
+        """Store a state under a name, instead of an earlier one."""
 
     def recall(self, name: str) -> list[np.ndarray] | None:
-        """What was kept under a name; None where nothing was."""
+        """The state that is stored under a name; None without one."""
         return None
 
 

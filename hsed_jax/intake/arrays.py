@@ -10,7 +10,7 @@ from hsed_jax.measurements.records import vectors_of
 
 
 def found_in_arrays(path: Path) -> Found:
-    """The vectors of a binary file; of a matrix its columns, or its rows where it lies.
+    """The vectors of a binary file; for a matrix its columns, or its rows if it is wide.
 
     Raises:
         UserError: the file is unreadable or goes beyond the budget, or has no vector of numbers.

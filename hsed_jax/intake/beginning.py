@@ -36,7 +36,7 @@ class Said:
         units: unit by column or channel.
         sheet: of workbooks, the only one to read.
         held_out: share of each record, its end, that is never fitted.
-        missing: numbers that say that a sample is missing; None where nothing was said.
+        missing: numbers that mark a missing sample; None without a statement.
         drops_missing: whether samples that lack a channel inside a record are left out.
     """
 
@@ -54,9 +54,9 @@ class Begun:
 
     Attributes:
         campaign: the measurements.
-        taken: what was taken for elongation, force, time and further channels, a line for each.
-        notes: what was left out, and what was decided.
-        doubts: that columns of the files which are no channels tell.
+        taken: the columns of elongation, force, time and further channels, a line for each.
+        notes: omissions and decisions.
+        doubts: from columns of the files that are not channels.
     """
 
     campaign: Campaign
@@ -77,12 +77,12 @@ def read_files(
 
     Arguments:
         files: of the laboratory: csv, txt, xlsx, mat, parquet, ... .
-        elongation, force, time: the columns, where their names do not tell them.
-        units: by column, where the file does not tell them.
+        elongation, force, time: the columns, if their names do not determine them.
+        units: by column, if the file does not have them.
         held_out: share of each record, its end, that is never fitted.
 
     Raises:
-        UserError: a file cannot be read, or a column or unit cannot be told; the message says what to say.
+        UserError: a file cannot be read, or a column or unit is ambiguous; the message asks for the missing statement.
 
     Example:
         >>> campaign = hx.read_files("wall.csv")  # or units={"d": "mm", "F": "kN"}, where the file does not tell them
@@ -98,8 +98,8 @@ def begun(files: Sequence[Path], said: Said | None = None) -> Begun:
     """Make a campaign of the files of one specimen.
 
     Raises:
-        UserError: a file cannot be read, a column or unit cannot be told from the files or from what the user says, or a column
-            that is wanted has a fault; the message says what to say.
+        UserError: a file cannot be read, a column or unit is ambiguous, or a required column has a fault; the message asks
+            for the missing statement.
     """
     said = said or Said()
     found = gathered(files, said.sheet)
@@ -126,7 +126,7 @@ def _choice(where: str, files: Sequence[Path], table: Found, said: Said) -> tupl
     """The meaning of the columns.
 
     Raises:
-        UserError: it cannot be told.
+        UserError: it is ambiguous.
     """
     known = {"elongation", "force", "time", "ground_acceleration", *said.columns}
     try:
@@ -194,7 +194,7 @@ def _range(table: Found, name: str) -> str:
 
 
 def _ask_of_sheets(files: Sequence[Path], found: Gathered, said: Said) -> None:
-    """Refuse several sheets of one workbook where the user chose none.
+    """Refuse several sheets of one workbook without a choice of the user.
 
     Raises:
         UserError: with their names.
@@ -207,7 +207,7 @@ def _ask_of_sheets(files: Sequence[Path], found: Gathered, said: Said) -> None:
 
 
 def _ask_of_others(id: str, other: Found, first: str, choice: Choice, said: Said) -> None:
-    """Refuse a record whose columns have other units than those of the first one.
+    """Refuse a record whose units differ from those of the first record.
 
     Raises:
         UserError: with the record, the column and both units.

@@ -18,7 +18,7 @@ def found_in_cells(path: Path, laid: Laid) -> Found:
     """The columns of a table of texts, as numbers.
 
     Raises:
-        UserError: no column is one of numbers, or the decimal mark cannot be told.
+        UserError: no column has numbers, or the decimal mark is ambiguous.
     """
     sheet = laid.sheet
     width = len(laid.names)
@@ -54,7 +54,7 @@ def made(where: object, columns: dict[str, Any], faults: dict[str, str], laid: L
     """The columns found, without empty ones.
 
     Raises:
-        UserError: there is no column of numbers; the message says what is wrong with the first one.
+        UserError: there is no column of numbers; the message has the fault of the first one.
     """
     if len(columns) > 1 and rows is not None:
         is_empty = np.all([np.isnan(values) for values in columns.values()], axis=0)
@@ -73,7 +73,7 @@ def made(where: object, columns: dict[str, Any], faults: dict[str, str], laid: L
 
 
 def _seconds_of(cells: list[str]) -> np.ndarray | None:
-    """Seconds since the first of some times of day; None where a cell is none, or they do not rise throughout."""
+    """Seconds since the first of some times of day; None if a cell is not a time, or if they do not increase."""
     if not cells or not all(STAMP.fullmatch(cell) for cell in cells):
         return None
     whole = [cell.replace(",", ".").replace("T", " ").split(" ") for cell in cells]
@@ -105,7 +105,7 @@ def _day_of(date: str) -> int | None:
 
 
 def _ask_of_thousands(table: Table, position: int, name: str) -> None:
-    """Refuse a column in which a mark may separate thousands: 1.288 beside 964, and nothing in it that is surely a decimal.
+    """Refuse a column in which a mark may separate thousands: 1.288 beside 964, without a number that is certainly a decimal.
 
     Raises:
         UserError: with the first such cell.
@@ -114,7 +114,7 @@ def _ask_of_thousands(table: Table, position: int, name: str) -> None:
     for k, row in enumerate(table.rows):
         if "." in (cell := row[position].strip()) or "," in cell:
             if not EITHER.fullmatch(cell):
-                return  # a number that is surely a decimal
+                return  # a number that is certainly a decimal
             marked.append((k, cell))
     if not marked:
         return

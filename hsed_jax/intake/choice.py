@@ -33,7 +33,7 @@ class Choice:
         turned: channels whose sign is turned.
         tests: records that are never fitted.
         held_out: share of every other record, its end, that is not fitted, either.
-        missing: numbers that say that a sample is missing; `None` where the user has not said whether there are such.
+        missing: numbers that mark a missing sample; `None` if the user has not stated whether they exist.
         drops_missing: whether samples that lack a channel inside the record are left out.
     """
 
@@ -49,7 +49,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Made:
-    """A campaign made of tables, and what was done to its records in making it."""
+    """A campaign from tables, and the changes of its records."""
 
     campaign: Campaign
     notes: list[str] = field(default_factory=list)
@@ -60,7 +60,7 @@ def chosen(found: Found, given: Mapping[str, str] | None = None) -> tuple[Choice
 
     Arguments:
         found: the table.
-        given: by channel, the column that the user says is it.
+        given: by channel, the column that the user gives.
     """
     told = recognised(found, given)
     protocol: Protocol = "ground_motion" if told.protocol == "ground_motion" else "displacement"
@@ -71,7 +71,7 @@ def column_named(found: Found, said: str) -> str:
     """The column that a user means, by its name with or without unit; columns that are added or subtracted, as `d1 - d0`.
 
     Raises:
-        UserError: there is none, or there are several.
+        UserError: there is no such column, or there are several.
     """
     name = _one_column(found, said)
     if name is not None:
@@ -107,7 +107,7 @@ def _terms(said: str) -> list[tuple[str, str]]:
 
 
 def unit_of_columns(found: Found, column: str) -> str | None:
-    """The unit of a column, or of columns that are added, where the file tells it and it is the same for all."""
+    """The unit of a column, or of added columns, if the file has it and it is the same for all."""
     if column in found.names:
         return unit_of(found, column)
     units = {unit_of(found, name) for _, name in _terms(column)}
@@ -115,11 +115,11 @@ def unit_of_columns(found: Found, column: str) -> str | None:
 
 
 def campaign_of(name: str, tables: Mapping[str, Found], choice: Choice) -> Made:
-    """The campaign that a choice makes of tables.
+    """The campaign from tables and a choice.
 
     Raises:
-        UserError: a column or unit is missing, a column holds something other than numbers, lacks samples inside the record, or
-            stands for two things, or the units do not belong together.
+        UserError: a column or unit is missing, a column holds something other than numbers, lacks samples inside the record,
+            or is used for two channels, or the units do not belong together.
     """
     needed = CHANNELS[choice.protocol]
     order = [*needed, *(channel for channel in choice.columns if channel not in needed)]
@@ -128,7 +128,7 @@ def campaign_of(name: str, tables: Mapping[str, Found], choice: Choice) -> Made:
             raise UserError(f"choose the column of the {channel.replace('_', ' ')}")
     if not choice.columns.keys() - {"time", "ground_acceleration"}:
         raise UserError(
-            "choose the column of elongation or force: the ground motion alone says nothing about the specimen"
+            "choose the column of elongation or force: the ground motion alone has no information on the specimen"
         )
     for id, table in tables.items():
         ask_of_faults(f"record {id!r}", table, choice)
@@ -186,10 +186,10 @@ def _numbers(id: str, table: Found, choice: Choice, channel: str) -> np.ndarray:
 
 
 def ask_of_faults(where: str, table: Found, choice: Choice) -> None:
-    """Refuse a column that is wanted and is none of numbers; no other one is taken in its place.
+    """Refuse a required column that is not numeric; no other column replaces it.
 
     Raises:
-        UserError: with what is wrong with the first one.
+        UserError: with the fault of the first one.
     """
     for said in choice.columns.values():
         for _, column in [("+", said)] if said in table.names else _terms(said):
@@ -198,10 +198,10 @@ def ask_of_faults(where: str, table: Found, choice: Choice) -> None:
 
 
 def _ask_of_sentinels(id: str, table: Found, choice: Choice, column: str) -> None:
-    """Refuse values that loggers write where nothing was measured, until the user has said what they are.
+    """Refuse values that loggers write for missing samples, until the user has stated their meaning.
 
     Raises:
-        UserError: with the value and where it stands.
+        UserError: with the value and its position.
     """
     if choice.missing is not None:
         return
@@ -222,10 +222,10 @@ def _ask_of_sentinels(id: str, table: Found, choice: Choice, column: str) -> Non
 
 
 def _kept(id: str, table: Found, choice: Choice, raw: Mapping[str, np.ndarray]) -> tuple[np.ndarray, list[str]]:
-    """Which samples make the record, (n,) bool: those at both ends that lack a channel are cut off.
+    """The samples of the record, (n,) bool: samples at both ends that lack a channel are removed.
 
     Raises:
-        UserError: a channel lacks a sample inside, and the user has not said that such samples are left out.
+        UserError: a channel lacks a sample inside, and the user has not chosen to leave such samples out.
     """
     lacks = np.any([np.isnan(numbers) for numbers in raw.values()], axis=0)
     kept = np.ones(len(lacks), dtype=bool)
@@ -256,13 +256,13 @@ def _kept(id: str, table: Found, choice: Choice, raw: Mapping[str, np.ndarray]) 
 
 
 def _parts(id: str, record: Record, choice: Choice) -> list[Experiment]:
-    """The experiments of a record: its end is one of its own where it is held out."""
+    """The experiments of a record: a held-out end is a separate experiment."""
     if id in choice.tests:
         return [Experiment(id, record=record, split="test")]
     split = round((1 - choice.held_out) * len(record))
     if not choice.held_out or not 0 < split < len(record) - 1:
         return [Experiment(id, record=record)]
-    # Backward times are told by the checks, which a window of these would anticipate.
+    # The checks report backward times, so no window is made of them here.
     if not (np.diff(record.time) > 0).all():
         return [Experiment(id, record=record)]
     begin, last, first, end = (float(record.time[k]) for k in (0, split - 1, split, -1))
@@ -276,7 +276,7 @@ def with_units(choice: Choice, units: Mapping[str, str]) -> Choice:
     """The choice with units that the user gave, by channel.
 
     Raises:
-        UserError: a text is no unit.
+        UserError: a text is not a unit.
     """
     for unit in units.values():
         parse_unit(spelled_unit(unit) or unit)

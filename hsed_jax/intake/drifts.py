@@ -20,12 +20,12 @@ _FOLLOWS = 0.999  # correlation of a displacement with its own drift ratio
 
 
 def height_doubts(id: str, table: Found, choice: Choice) -> Iterator[Finding]:
-    """A height that no specimen has, where a drift ratio beside the elongation tells it.
+    """An implausible height, from a drift ratio beside the elongation.
 
     Arguments:
         id: of the record.
         table: the columns of its file.
-        choice: what they are.
+        choice: their meaning.
     """
     column, unit = choice.columns.get("elongation"), choice.units.get("elongation")
     if column is None or unit is None or column not in table.columns or not measures(unit, LENGTH):
@@ -42,7 +42,7 @@ def height_doubts(id: str, table: Found, choice: Choice) -> Iterator[Finding]:
         if known.sum() < 8 or not np.ptp(drift[known]) > 0 or not np.ptp(elongation[known]) > 0:
             continue
         if abs(np.corrcoef(drift[known], elongation[known])[0, 1]) < _FOLLOWS:
-            continue  # of another place of the specimen
+            continue  # a drift of another place of the specimen
         height = abs(float(np.polyfit(drift[known], elongation[known], 1)[0]))
         if not HEIGHT[0] <= height <= HEIGHT[1]:
             message = (

@@ -1,4 +1,4 @@
-"""Columns of numbers that a file holds, whatever its format."""
+"""Columns of numbers in a file of any format."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,10 +12,10 @@ class Found:
 
     Attributes:
         columns: columns of numbers by name, in the file's units and order, each (n,); nan where a sample is missing.
-        faults: why a column is none of them, by name.
+        faults: reasons why a column is not one of them, by name.
         names: of all, in the file's order.
         units: of each, as the file writes it; absent where it writes none.
-        notes: what was left out of the file, and what was decided in reading it.
+        notes: omissions and decisions of the reading.
         rows: of each sample, the row of the file (n,); without, samples are counted from 1.
         is_named: whether the file names its columns; otherwise their names are positions.
     """
@@ -29,11 +29,11 @@ class Found:
     is_named: bool = True
 
     def place(self, sample: int) -> str:
-        """Where a sample stands, for a message."""
+        """The position of a sample, for a message."""
         return f"sample {sample + 1}" if self.rows is None else f"row {self.rows[sample]}"
 
     def places(self, is_one: np.ndarray) -> str:
-        """Where samples (n,) of bool stand, for a message: the first ones, and how many there are."""
+        """The positions of samples (n,) of bool, for a message: the first ones, and their number."""
         where = np.flatnonzero(is_one)
         numbers = where + 1 if self.rows is None else self.rows[where]
         breaks = np.flatnonzero(np.diff(where) > 1)

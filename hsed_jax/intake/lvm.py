@@ -16,10 +16,10 @@ _SEPARATORS = {"tab": "\t", "comma": ",", "space": " "}
 
 
 def found_in_lvm(path: Path, text: str) -> Found:
-    """The channels of a file, with the time that its header tells.
+    """The channels of a file, with the time from its header.
 
     Raises:
-        UserError: the header is not one of these files, or the file holds several measurements.
+        UserError: the header is not that of such a file, or the file contains several measurements.
     """
     lines = text.splitlines()
     ends = [k for k, line in enumerate(lines) if line.strip().startswith(_END)]
@@ -66,13 +66,13 @@ def found_in_lvm(path: Path, text: str) -> Found:
 
 
 def _settings(lines: list[str], separator: str) -> dict[str, list[str]]:
-    """By the first word of a line of the header, what is behind it."""
+    """The lines of the header by their first words."""
     cells = [line.split(separator) for line in lines if line.strip()]
     return {row[0].strip().casefold(): [cell.strip() for cell in row[1:]] or [""] for row in cells}
 
 
 def _without_x(names: list[str], said: list[str], sheet: Sheet, xs: list[int]) -> tuple[list[str], list[str], Sheet]:
-    """The table without the column of X, which is empty where the header tells the time step."""
+    """The table without the column of X, which is empty if the header has the time step."""
     keep = [k for k in range(len(names)) if k not in xs]
     sheet.rows = [[row[k] for k in keep if k < len(row)] for row in sheet.rows]
     return [names[k] for k in keep], [said[k] for k in keep], sheet

@@ -25,7 +25,7 @@ class Opened(NamedTuple):
 
     Attributes:
         tables: by the name of a sheet; of a file that has none, by an empty name.
-        notes: what of the file was left out.
+        notes: omitted parts of the file.
     """
 
     tables: dict[str, Found]
@@ -36,7 +36,7 @@ def opened_file(path: Path) -> Opened:
     """Read the tables of a file.
 
     Raises:
-        UserError: its format is not read, it cannot be read, goes beyond the budget, or has no column of numbers.
+        UserError: its format is unknown, it cannot be read, exceeds the budget, or has no column of numbers.
     """
     ending = path.suffix.lower().lstrip(".")
     if ending not in FORMATS:
@@ -59,7 +59,7 @@ def found_in_text(path: Path) -> Found:
     """The columns of a file of text.
 
     Raises:
-        UserError: it has none, or which cell belongs to which column cannot be told.
+        UserError: it has none, or the columns of its cells are ambiguous.
     """
     text = read_text(path)
     if text.startswith("LabVIEW Measurement"):
@@ -78,8 +78,8 @@ class Gathered(NamedTuple):
 
     Attributes:
         records: every table, by the name of a record; files of one column each are one record.
-        notes: what of these files was left out.
-        refused: what is wrong with files that cannot be read.
+        notes: omitted parts of these files.
+        refused: faults of files that cannot be read.
     """
 
     records: dict[str, Found]
@@ -93,7 +93,7 @@ class Gathered(NamedTuple):
 
 
 def gathered(files: Iterable[Path], sheet: str | None = None) -> Gathered:
-    """The content of files that were given together.
+    """The content of the files of one call.
 
     Arguments:
         files: of one specimen.
@@ -140,7 +140,8 @@ def _fresh(name: str, taken: Collection[str]) -> str:
 
 
 def _joined(tables: dict[str, Found]) -> Found | None:
-    """Several files of one column each as one table, each column called like its file where it has no name; None if they are not.
+    """Several files of one column each as one table, each column called like its file where it has no name; None if they are
+    not such files.
 
     Raises:
         UserError: they differ in length.

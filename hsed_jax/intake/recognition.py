@@ -1,6 +1,6 @@
 """Recognition of elongation, force and time among the columns of a file, by their names and units; open cases are asked.
 
-No column is chosen by its numbers, and none in place of another one that cannot be read.
+No column is chosen by its numbers, and no column replaces an unreadable one.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,7 +21,7 @@ CHANNELS = {
 }
 """Channels that a record of a kind of test may have; the last one of imposed cycles may be absent."""
 _ROUNDED = 1e-6  # of the range of a column: digits that another unit has cut off
-_BY_UNIT = 1  # what a unit says where the name says nothing
+_BY_UNIT = 1  # score of a unit if the name has no information
 _ELONGATIONS = {pair.elongation_unit for pair in PAIRS}
 _FORCES = {pair.force_unit for pair in PAIRS}
 
@@ -33,8 +33,8 @@ class Recognised:
     Attributes:
         columns: by channel, the column that is it.
         units: by channel, the unit that the file gives for it; absent where it gives none.
-        candidates: by channel that cannot be told, the columns that may be it; none where no column is like it.
-        notes: what was decided between columns that are alike.
+        candidates: by ambiguous channel, the possible columns; empty if no column is similar.
+        notes: decisions between similar columns.
     """
 
     columns: dict[str, str] = field(default_factory=dict)
@@ -44,16 +44,16 @@ class Recognised:
 
     @property
     def protocol(self) -> str:
-        """Of the test: a record with time and the motion of the ground is one of a shaken structure."""
+        """The kind of the test: a record with time and ground motion belongs to a shaken structure."""
         return "ground_motion" if {"time", "ground_acceleration"} <= self.columns.keys() else "displacement"
 
 
 def recognised(found: Found, given: Mapping[str, str] | None = None) -> Recognised:
-    """Tell which columns are the channels.
+    """Assign columns to the channels.
 
     Arguments:
         found: the columns.
-        given: by channel, the column that the user says is it; it is not asked for.
+        given: by channel, the column that the user gives; it is not asked.
     """
     given = dict(given or {})
     result = Recognised(dict(given))
@@ -77,7 +77,7 @@ def recognised(found: Found, given: Mapping[str, str] | None = None) -> Recognis
 
 
 def unit_of(found: Found, name: str) -> str | None:
-    """The unit of a column as `parse_unit` reads it, from the file or from the column's name; None where neither tells."""
+    """The unit of a column as `parse_unit` reads it, from the file or from the column's name; None if neither has it."""
     said = found.units.get(name) or without_unit(name)[1]
     if said:
         return spelled_unit(said) or said
@@ -92,14 +92,16 @@ def _best(names: Iterable[str], channel: str, units: Mapping[str, str], dimensio
     for name in names:
         rank, unit = strength(channel, without_unit(name)[0]), units.get(name)
         if unit is not None and not measures(unit, dimension):
-            continue  # a name that a unit belies
+            continue  # a unit that contradicts the name
         if rank or (unit is not None and not is_never(name) and channel != "ground_acceleration"):
             ranked[name] = rank or _BY_UNIT
     return [name for name, rank in ranked.items() if rank == max(ranked.values())]
 
 
 def _pick_pair(found: Found, left: list[str], units: Mapping[str, str], result: Recognised) -> None:
-    """Elongation and force, which belong together: of several pairs the one whose names say most, and of these mm and kN."""
+    """Elongation and force, which belong together: of several pairs the one with the most significant names, and of
+    equal ones mm and kN.
+    """
     elongations = _ranked(left, "elongation", "force", units, _ELONGATIONS, result.columns)
     forces = _ranked(left, "force", "elongation", units, _FORCES, result.columns)
     options = {
@@ -126,7 +128,7 @@ def _pick_pair(found: Found, left: list[str], units: Mapping[str, str], result: 
 def _ranked(
     left: list[str], channel: str, other: str, units: Mapping[str, str], si: set[str], known: Mapping[str, str]
 ) -> dict[str, int]:
-    """By column that may be a channel, how much says so."""
+    """The scores of the possible columns of a channel."""
     if channel in known:
         return {known[channel]: STRONG}
     ranked = {}
@@ -166,7 +168,7 @@ def _is_usual(elongation: str | None, force: str | None) -> bool:
 
 
 def _settle(channel: str, names: list[str], found: Found, result: Recognised, is_needed: bool = False) -> None:
-    """Take the only candidate, or the first of some that hold the same numbers; else the user is asked."""
+    """Choose the only candidate, or the first of several with the same numbers; otherwise the user is asked."""
     if not names:
         if is_needed:
             result.candidates[channel] = []
@@ -177,13 +179,13 @@ def _settle(channel: str, names: list[str], found: Found, result: Recognised, is
         result.columns[channel] = first
         if alike:
             said = ", ".join(repr(name) for name in alike)
-            result.notes.append(f"{said} holds the same numbers as {first!r}, which is taken for the {channel}")
+            result.notes.append(f"{said} holds the same numbers as {first!r}, which is used as the {channel}")
         return
     result.candidates[channel] = names
 
 
 def _are_equal(found: Found, one: str, other: str) -> bool:
-    """Whether two columns hold the same numbers, also where their units differ."""
+    """Whether two columns have the same numbers, also with different units."""
     if one not in found.columns or other not in found.columns:
         return False
     first, second = found.columns[one], found.columns[other]

@@ -4,7 +4,7 @@ import re
 import unicodedata
 
 STRONG, WEAK, INDEXED = 4, 3, 2
-"""How much a name says: a word, a symbol of one or two letters, a symbol with a number."""
+"""Scores of a name: a word, a symbol of one or two letters, a symbol with a number."""
 
 _ELONGATION = """
 displacement displ disp deplacement depl desplazamiento desplaz deslocamento spostamento spost weg verschiebung verformung
@@ -23,7 +23,7 @@ time zeit temps tempo tiempo timestamp elapsed seconds sekunden secondes segundo
 datum date 時間 时间
 """
 _GROUND = "ground table base bodenbeschleunigung tisch"
-# Words of a motion or of a control, not of the response: a name with one of these is no elongation, force or time of a test.
+# Words of a motion or of a control, not of the response: a name with one of these is not an elongation, force or time of a test.
 _NEVER = """
 command cmd soll sollwert sollweg sollkraft setpoint target demand desired consigne consigna riferimento rate velocity
 velocita vitesse velocidad velocidade speed geschwindigkeit temperature temperatur temperatura count counter cycle
@@ -43,7 +43,7 @@ _STRONG = {
     "time": frozenset(_TIME.split()),
 }
 _COMPOUNDS = {
-    # German joins words, and what is measured comes last; names of loggers are cut short.
+    # German joins words, with the measured quantity at the end; names of loggers are abbreviated.
     "elongation": re.compile(
         r"(weg|verschiebung|verformung|displacement|disp|lvdt|drift|extension|dehnung|rotation|変位|位移)\d*"
     ),
@@ -53,7 +53,7 @@ _COMPOUNDS = {
 
 
 def strength(channel: str, name: str) -> int:
-    """How much a name, without its unit, says that it is a channel: `STRONG`, `WEAK`, or 0."""
+    """The score of a name, without its unit, as the name of a channel: `STRONG`, `WEAK`, or 0."""
     words = _words(name)
     if channel == "ground_acceleration":
         moves = any(word.startswith(("acc", "beschl")) or word.endswith("beschleunigung") for word in words)
@@ -71,7 +71,7 @@ def strength(channel: str, name: str) -> int:
 
 
 def is_never(name: str) -> bool:
-    """Whether a name is that of a command, a rate, a count or another quantity, whatever else it says."""
+    """Whether a name contains a word for a command, a rate, a count or another quantity."""
     words = _words(name)
     return any(
         word in _NEVER.split() or word.startswith(("accel", "beschl", "veloc")) or word == "acc" for word in words
@@ -79,18 +79,18 @@ def is_never(name: str) -> bool:
 
 
 def is_transverse(name: str) -> bool:
-    """Whether a name says of a displacement or force that it is not along what is usually imposed."""
+    """Whether a name marks a displacement or force as not in the usual direction of loading."""
     return any(word in _TRANSVERSE.split() for word in _words(name))
 
 
 def is_channel(name: str) -> bool:
-    """Whether a name says by a word that it is one of the channels."""
+    """Whether a name contains a word for one of the channels."""
     return any(strength(channel, name) == STRONG for channel in (*_STRONG, "ground_acceleration"))
 
 
 def _words(name: str) -> list[str]:
     """The words of a name in small letters without accents: `HorizontalForce_1` is horizontal, force, 1."""
-    # Of letters with accents the first part remains; kana and kanji stay as they are.
+    # Letters lose their accents; kana and kanji stay unchanged.
     plain = "".join(
         c for c in unicodedata.normalize("NFKD", name) if not (unicodedata.combining(c) and ord(c) < 0x3000)
     )

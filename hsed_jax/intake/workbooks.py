@@ -26,14 +26,14 @@ _LAST_ROW = 2**20
 
 
 class Workbook(NamedTuple):
-    """Tables by the title of their sheet, and what was left out."""
+    """Tables by the title of their sheet, and the omissions."""
 
     tables: dict[str, Found]
     notes: list[str]
 
 
 def read_workbook(path: Path) -> Workbook:
-    """Read the sheets of a workbook that are shown and have a column of numbers.
+    """Read the visible sheets of a workbook that have a column of numbers.
 
     Raises:
         UserError: It cannot be read, goes beyond the budget, or has no such sheet; the message names sheet, row and column.
@@ -48,7 +48,7 @@ def read_workbook(path: Path) -> Workbook:
     faults: list[str] = []
     try:
         with path.open("rb") as file, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of parts of a workbook that hold no cells
+            warnings.simplefilter("ignore")  # for parts of a workbook without cells
             if not is_zipfile(file):
                 raise UserError(f"{path}: this is not a workbook; if it is a text file, give it the extension .csv")
             with ZipFile(file) as archive:
@@ -75,7 +75,7 @@ def read_workbook(path: Path) -> Workbook:
                         notes.append(f"sheet {str(sheet.title)!r} has no table of numbers{said} and is left out")
     except UserError:
         raise
-    except Exception as error:  # openpyxl raises whatever the damaged bytes lead to
+    except Exception as error:  # openpyxl raises any exception on damaged bytes
         said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise UserError(f"{path}: cannot be read as a workbook ({said})") from None
     if not found:
@@ -86,7 +86,7 @@ def read_workbook(path: Path) -> Workbook:
 
 def _rows(where: str, sheet: Any) -> list[tuple[int, tuple[Any, ...]]]:
     """The filled rows of a sheet, each with its number and without the empty cells behind."""
-    sheet.reset_dimensions()  # what a sheet says of its size may be anything
+    sheet.reset_dimensions()  # the declared size of a sheet may be wrong
     rows, width = [], 0
     for number, cells in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > _LAST_ROW:
@@ -106,7 +106,7 @@ def _found(path: Path, title: str, rows: list[tuple[int, tuple[Any, ...]]]) -> F
     """The columns of numbers of a sheet; None where it has none.
 
     Raises:
-        UserError: it has rows of numbers from which none can be told.
+        UserError: it has rows of numbers, but no clear columns.
     """
     where = f"{path}, sheet {title!r}"
     cells = Sheet(where, [row for _, row in rows], [number for number, _ in rows], delimiter="\t", is_text=False)
@@ -160,7 +160,7 @@ def _is_blank(cell: Any) -> bool:
 
 
 def _seconds(column: list[Any]) -> np.ndarray | None:
-    """Seconds since the first of dates or times of day; None where a cell is none, or they do not rise throughout."""
+    """Seconds since the first of dates or times of day; None if a cell is not a time, or if they do not increase."""
     if not column or not all(
         isinstance(cell, datetime.datetime | datetime.time | datetime.timedelta) for cell in column
     ):

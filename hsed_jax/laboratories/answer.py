@@ -19,15 +19,15 @@ QUANTITIES = ("quantities.json", "quantities.csv")
 
 
 def is_answered(folder: Path) -> bool:
-    """Whether anything was left in a folder."""
+    """Whether a folder has an answer."""
     return any((folder / name).is_file() for name in (*RECORD, *QUANTITIES))
 
 
 def read_answer(folder: Path, request: Request, sensors: Sensors) -> Measured:
-    """What was left in a folder, in SI.
+    """The answer in a folder, in SI.
 
     Raises:
-        ExperimentFailed: something that the sensors declare is missing, or is no measurement.
+        ExperimentFailed: a declared channel or quantity is missing, or is not a measurement.
     """
     record, quantities = None, {}
     if sensors.channels:
@@ -38,10 +38,10 @@ def read_answer(folder: Path, request: Request, sensors: Sensors) -> Measured:
 
 
 def read_record(file: Path, request: Request, sensors: Sensors, *, partial: bool = False) -> Record:
-    """The record of a file, in SI; a partial one is of an experiment that failed.
+    """The record of a file, in SI; a partial record belongs to a failed experiment.
 
     Raises:
-        ExperimentFailed: it cannot be read, lacks a channel, or does not last as long as the study compares.
+        ExperimentFailed: it cannot be read, lacks a channel, or is shorter than the compared duration.
     """
     wanted = {name: sensors.columns.get(name, channel.column) for name, channel in sensors.channels.items()}
     return sensors.record(request, columns_of(file, wanted), str(file), partial=partial)
@@ -51,7 +51,7 @@ def read_quantities(file: Path, sensors: Sensors) -> dict[str, float]:
     """The quantities of a file (JSON, or columns of one row), in SI.
 
     Raises:
-        ExperimentFailed: it cannot be read, or one is missing or no finite number.
+        ExperimentFailed: it cannot be read, or one is missing or not finite.
     """
     wanted = {name: channel.column for name, channel in sensors.quantities.items()}
     return sensors.numbers(columns_of(file, wanted), str(file))
@@ -75,7 +75,7 @@ def left(folder: Path, names: Iterable[str]) -> Path:
 
 
 def columns_of(file: Path, columns: Mapping[str, str]) -> dict[str, Any]:
-    """By name what a file has in a column; of JSON only what is there.
+    """The columns of a file by name; for JSON only the existing ones.
 
     Raises:
         ExperimentFailed: it cannot be read, or has no such column.

@@ -9,11 +9,11 @@ from hsed_jax.measurements import Noise, Record
 
 
 class ExperimentFailed(Exception):
-    """The experiment was tried and gave nothing to use; the message is the reason."""
+    """The experiment failed without a usable result; the message is the reason."""
 
 
 class Awaited(Exception):
-    """The experiment is asked, and nothing was measured yet: people or a controller perform it."""
+    """The experiment is requested, and not measured yet: people or a controller perform it."""
 
 
 class Measured(NamedTuple):
@@ -31,7 +31,7 @@ class Laboratory(Protocol):
         """Perform experiment `number` (from 0) at `inputs` (SI).
 
         Raises:
-            ExperimentFailed: there is nothing to use, and why.
+            ExperimentFailed: there is no usable result, with the reason.
         """
         ...
 
@@ -44,7 +44,7 @@ def experiment_id(number: int) -> str:
 def noisy(values: np.ndarray, noise: Noise | None, random: np.random.Generator) -> np.ndarray:
     """Values of one output, any shape, with Gaussian noise.
 
-    Numbers are drawn where there is no noise, too: the noise of one output does not depend on whether another has any.
+    Random numbers are drawn also without noise, so that the noise of one output does not depend on the noise of another.
     """
     draw = random.standard_normal(values.shape)
     if noise is None:

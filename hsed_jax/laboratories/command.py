@@ -1,4 +1,4 @@
-"""A command laboratory: any program that reads a request from its folder and leaves its measurements there."""
+"""A command laboratory: any program that reads a request from its folder and writes its measurements there."""
 
 import atexit
 import re
@@ -21,11 +21,11 @@ from hsed_jax.laboratories.sensors import Sensors
 
 _NAME = re.compile(r"\{(\w+)\}")
 WORDS = ("folder", "id", "python")
-"""What a template may name besides inputs: the folder of the experiment, its id, and the Python that runs this package."""
+"""Names in a template besides inputs: the folder of the experiment, its id, and the Python that runs this package."""
 
 
 def filled(template: Iterable[str], folder: Path, known: Mapping[str, Any]) -> list[str]:
-    """The words of a template, its names in braces replaced: the folder, the Python, and what else is known."""
+    """The words of a template with replaced names in braces: the folder, the Python, and further known names."""
     values = {"folder": str(folder), "python": sys.executable}
     values |= {name: value if isinstance(value, str) else repr(value) for name, value in known.items()}
     return [_NAME.sub(lambda match: values.get(match[1], match[0]), word) for word in template]
@@ -33,16 +33,16 @@ def filled(template: Iterable[str], folder: Path, known: Mapping[str, Any]) -> l
 
 @dataclass(frozen=True)
 class CommandLaboratory:
-    """Runs a program per experiment, in a folder of its own.
+    """Runs a program for each experiment, in a separate folder.
 
     The folder `<workspace>/E07-1` (first attempt at E07) receives `request.json`, `ground_motion.csv` and `.AT2`; the program
     leaves `record.csv` (or another format of records) and `quantities.json` or `.csv` there, whichever the sensors declare.
-    A further attempt has a further folder, so nothing that an unfinished one left is ever read.
+    Another attempt has another folder, so files of an unfinished attempt are never read.
 
     Attributes:
         template: the program and its arguments; {folder}, {id}, {python} and {NAME} of an input stand for their values.
-        programme: what experiments have in common.
-        sensors: what it measures.
+        programme: common properties of the experiments.
+        sensors: its measurements.
         timeout: [s] for one experiment.
         workspace: folder of the experiments' folders; None: a temporary one, until the end of the process.
         files: further files for the program, name and text.
@@ -56,10 +56,10 @@ class CommandLaboratory:
     files: Mapping[str, str] = field(default_factory=dict)
 
     def perform(self, number: int, inputs: Mapping[str, float]) -> Measured:
-        """Run the program for experiment `number` (from 0) at `inputs` (SI) and read what it measured.
+        """Run the program for experiment `number` (from 0) at `inputs` (SI) and read its measurements.
 
         Raises:
-            ExperimentFailed: the program failed or took too long, or what it left is missing or no measurement.
+            ExperimentFailed: the program failed or took too long, or its answer is missing or not a measurement.
         """
         request = self.programme.request(number, inputs)
         folder = self._new_folder(request.id)
@@ -90,10 +90,10 @@ class CommandLaboratory:
 
 
 def check_template(template: Sequence[str], inputs: Iterable[str], words: Iterable[str] = WORDS) -> None:
-    """Refuse a template that names what is not there.
+    """Refuse a template with unknown names.
 
     Raises:
-        UserError: an unknown name in braces, with those that are allowed, or a program that there is not.
+        UserError: an unknown name in braces, with the allowed ones, or a program that does not exist.
     """
     known, program = (*words, *inputs), template[0]
     for word in template:

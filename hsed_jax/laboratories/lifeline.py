@@ -1,8 +1,8 @@
 """A script that runs a program for as long as the process that started it lives.
 
-Standard input is the lifeline: a pipe that the starting process holds open and that ends with it, however it ends.  Then the
-whole process group is killed: an orphan would go on writing, and computing, for nobody.  Run by path and without the
-package, so that it starts in milliseconds.
+Standard input is the lifeline: a pipe that the starting process holds open, and that closes when this process ends in any
+way. Then the whole process group is killed, because an orphan would continue to compute and write.  Run by path and without
+the package, so that it starts in milliseconds.
 """
 
 import os

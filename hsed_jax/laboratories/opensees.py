@@ -1,7 +1,7 @@
-"""A laboratory in which OpenSees simulates structure and specimen.
+"""A laboratory in which OpenSees simulates the structure and the specimen.
 
-OpenSees runs in a process of its own: its model is global to a process, and a material that crashes must not take this one
-with it.  So it is a command laboratory whose program is `opensees_model.py`.
+OpenSees runs in a separate process: its model is global to a process, and a material that crashes must not end this process.
+It is therefore a command laboratory whose program is `opensees_model.py`.
 """
 
 import json
@@ -24,7 +24,7 @@ from hsed_jax.physics.structures import Structure
 from hsed_jax.plain import is_file
 
 INTERPRETER = "OPENSEES_PYTHON"
-"""The environment variable that names a Python with openseespy, where this one has none."""
+"""The environment variable that names a Python with openseespy, if this one does not have it."""
 
 # By material, the arguments of OpenSees in order (forces in N, elongations in m) and their defaults; None: required.
 MATERIALS: dict[str, dict[str, float | None]] = {
@@ -43,7 +43,7 @@ MATERIALS: dict[str, dict[str, float | None]] = {
 }  # fmt: skip
 _WHOLE = ("maxIter",)
 QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
-"""What `opensees_model.py` takes from all its steps, which are finer than its record."""
+"""Quantities that `opensees_model.py` computes from all its steps, which are finer than its record."""
 
 STEPS_PER_STEP = 50
 """Steps of OpenSees to one of the study's integration, some 1200 to the shortest period.
@@ -55,7 +55,7 @@ Its materials are first order in the step; peaks of BoucWen are then good to 0.0
 
 @dataclass(frozen=True)
 class OpenSeesLaboratory:
-    """Shakes a structure in OpenSees, with noise on what is measured.
+    """Shakes a structure in OpenSees, with noise on the measurements.
 
     Attributes:
         command: runs the model.
@@ -95,7 +95,7 @@ def require_openseespy() -> None:
     """Check that openseespy can be imported.
 
     Raises:
-        UserError: it cannot; says how to install it.
+        UserError: it cannot; the message explains the installation.
     """
     if not _can_import(interpreter()):
         raise UserError(
@@ -135,7 +135,7 @@ def built_in(material: str, parameters: Mapping[str, float]) -> dict[str, Any]:
 
 
 def own_material(file: Path, parameters: Mapping[str, float]) -> dict[str, Any]:
-    """A material of the user's own: a Python file with `specimen(ops, tag, **parameters)`, or a Tcl file.
+    """A material of the user: a Python file with `specimen(ops, tag, **parameters)`, or a Tcl file.
 
     Raises:
         UserError: there is no such file, or it is neither.
@@ -148,7 +148,7 @@ def own_material(file: Path, parameters: Mapping[str, float]) -> dict[str, Any]:
 
 
 def model(structure: Structure, material: Mapping[str, Any], step: float) -> dict[str, Any]:
-    """What `opensees_model.py` needs to know, ready for JSON.
+    """The input of `opensees_model.py`, for JSON.
 
     Springs and the damping matrix become links between two points (0 is the ground, masses count from 1), each with a
     stiffness and a damping constant: C = Σ c (e_i − e_j)(e_i − e_j)ᵀ holds for any symmetric C, with negative c, too.

@@ -1,6 +1,6 @@
-"""A script that shakes a structure in OpenSees: it reads a request in its folder and leaves record and quantities there.
+"""A script that shakes a structure in OpenSees: it reads a request in its folder and writes record and quantities there.
 
-It knows nothing of the package, so that the Python that has openseespy needs nothing else.  Everything is SI.
+It does not use the package, so the Python with openseespy needs nothing else.  Everything is SI.
 """
 
 import bisect
@@ -21,7 +21,7 @@ _SUBSTEPS = 20
 
 
 def main(folder: Path) -> int:
-    """Do what the folder asks for; returns the exit status."""
+    """Perform the request in the folder; returns the exit status."""
     request = json.loads((folder / "request.json").read_text(encoding="utf-8"))
     model = json.loads((folder / "model.json").read_text(encoding="utf-8"))
     with (folder / "ground_motion.csv").open(encoding="utf-8") as file:
@@ -74,7 +74,7 @@ def define(material: dict) -> None:
     if file.endswith(".py"):
         runpy.run_path(file)["specimen"](ops, _SPECIMEN, **parameters)
         return
-    # openseespy has no Tcl of its own; the commands that define a material are the same.
+    # openseespy has no Tcl interpreter; the commands that define a material are the same.
     import tkinter
 
     tcl = tkinter.Tcl()
@@ -118,7 +118,7 @@ def shake(model: dict, ground: list[list[float]], record: dict) -> tuple[list[di
 
 
 def advance(step: float) -> None:
-    """One step of the analysis; where Newton's method fails, in small steps, and those with the initial stiffness."""
+    """One step of the analysis; if Newton's method fails, in small steps with the initial stiffness."""
     if ops.analyze(1, step) == 0:
         return
     for _ in range(_SUBSTEPS):

@@ -20,7 +20,7 @@ def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
     """Run a program to its end.
 
     Its output goes to `stdout.txt` and `stderr.txt` in the folder.  When this returns or raises, and when this process is
-    killed, the program and whatever it started are dead (unless they left its process group).
+    killed, the program and its processes have ended (unless they left its process group).
 
     Arguments:
         words: the program and its arguments; no shell reads them.
@@ -32,7 +32,7 @@ def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
     """
     command = [sys.executable, "-I", "-S", str(Path(lifeline.__file__).resolve()), *words]
     with create(folder / STDOUT) as out, create(folder / STDERR) as err:
-        # A session of its own: Ctrl-C at the terminal is ours to handle.
+        # A separate session: Ctrl-C at the terminal is ours to handle.
         process = subprocess.Popen(
             command, cwd=folder, stdin=subprocess.PIPE, stdout=out, stderr=err, start_new_session=True
         )
@@ -52,7 +52,7 @@ def run_program(words: Sequence[str], folder: Path, timeout: float) -> None:
 
 
 def _ending(status: int) -> str:
-    """How a program ended; the lifeline tells a signal as a shell does, by 128 more."""
+    """The end of a program; the lifeline reports a signal like a shell, as 128 plus its number."""
     number = -status if status < 0 else status - 128
     if number in signal.valid_signals():
         return f"was killed by {signal.Signals(number).name}"

@@ -19,8 +19,8 @@ class PythonLaboratory:
     Attributes:
         function: of a `Request`; it returns a mapping of quantities to numbers and, where records are wanted, of channels
             (with `time`) to arrays (n,), by their columns and in their units as declared (SI unless said otherwise).
-        programme: what experiments have in common.
-        sensors: what it measures.
+        programme: common properties of the experiments.
+        sensors: its measurements.
     """
 
     function: Callable[[Request], Mapping[str, Any]]
@@ -31,7 +31,7 @@ class PythonLaboratory:
         """Call the function for experiment `number` (from 0) at `inputs` (SI).
 
         Raises:
-            ExperimentFailed: the function raised an exception, or returned something else than was declared.
+            ExperimentFailed: the function raised an exception, or its output differs from the declaration.
         """
         request = self.programme.request(number, inputs)
         source = getattr(self.function, "__name__", repr(self.function))

@@ -1,7 +1,7 @@
 """The request to a laboratory outside this program: the inputs of an experiment, its excitation, and the times of the samples.
 
-`request.json` has the inputs with their units and in SI, and the columns and units of what is wanted back; beside it lies what
-drives the experiment: `ground_motion.csv` and `.AT2`, `applied_force.csv`, or `imposed_elongation.csv`.
+`request.json` has the inputs with their units and in SI, and the required columns and units. The excitation is in a file
+beside it: `ground_motion.csv` and `.AT2`, `applied_force.csv`, or `imposed_elongation.csv`.
 """
 
 import json
@@ -24,8 +24,8 @@ from hsed_jax.physics.simulator import Parametrised
 from hsed_jax.physics.timeline import Timeline, times
 from hsed_jax.programs import program
 
-# Between samples a motion is read as a line; with so many samples to a step of the integration (some 190 to the shortest
-# period) that cuts 1.3e-4 off a peak.
+# Between samples a motion is linear. With this number of samples to a step of the integration (some 190 to the shortest
+# period), a peak is too small by 1.3e-4.
 _SAMPLES_PER_STEP = 8
 
 
@@ -39,10 +39,11 @@ class Request:
         inputs: the variable inputs by name, in the units of the study.
         units: those units.
         si: the inputs in SI.
-        kind: what drives it.
-        time: times of what drives it [s], shape (n,), from 0; of a ground motion or force at equal steps.
-        driver: what drives it by the channel that would measure it, SI, shape (n,), linear between the samples.
-        sample_times: when the study compares histories [s], shape (m,); a record at these times need not be interpolated.
+        kind: its excitation.
+        time: times of its excitation [s], shape (n,), from 0; at equal steps for a ground motion or a force.
+        driver: the excitation by its channel, SI, shape (n,), linear between the samples.
+        sample_times: times at which the study compares histories [s], shape (m,); a record at these times need not be
+            interpolated.
     """
 
     id: str
@@ -67,13 +68,13 @@ class Request:
         quantities: Mapping[str, Channel],
         more: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write `request.json` and the file of what drives the experiment into a folder.
+        """Write `request.json` and the file of the excitation into a folder.
 
         Arguments:
-            folder: where to.
-            channels: what the record is to hold.
-            quantities: the numbers that are wanted.
-            more: what else stands in `request.json`.
+            folder: of the files.
+            channels: of the required record.
+            quantities: the required numbers.
+            more: further entries of `request.json`.
         """
 
         def wanted(declared: Mapping[str, Channel]) -> dict[str, dict[str, str]]:
@@ -106,7 +107,7 @@ class Programme:
 
     Attributes:
         units: of the inputs.
-        excitation: from inputs (SI) to what drives an experiment.
+        excitation: from inputs (SI) to the excitation of an experiment.
         timeline: of the study's simulator.
     """
 
@@ -135,7 +136,7 @@ class Programme:
 def _driven(
     excitation: Parametrised[AbstractExcitation], timeline: Timeline, inputs: Mapping[str, Float[Array, ""]]
 ) -> tuple[Array, dict[str, Array], Array]:
-    """Times and samples of what drives an experiment, and the times of its record."""
+    """Times and samples of the excitation of an experiment, and the times of its record."""
     step, steps, every = timeline
     fine = Timeline(None if step is None else step / _SAMPLES_PER_STEP, steps * _SAMPLES_PER_STEP)
     driver = excitation(inputs)
@@ -144,7 +145,7 @@ def _driven(
 
 
 def _grid(time: np.ndarray) -> dict[str, Any]:
-    """How many samples, and how far apart, or where that differs, when."""
+    """The number of samples and their step, or the times of an uneven sampling."""
     steps = np.diff(time)
     is_even = bool(np.ptp(steps) < 1e-6 * steps.mean())
     return ({"step": float(time[1])} if is_even else {"times": time.tolist()}) | {"samples": time.size}

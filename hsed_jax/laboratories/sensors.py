@@ -19,10 +19,10 @@ class Sensors:
     """The channels and quantities of a laboratory, as `campaign.yaml` declares them.
 
     Attributes:
-        channels: of its records, with the time; none where it keeps no records.
-        quantities: numbers that it hands over by themselves.
+        channels: of its records, with the time; empty without records.
+        quantities: numbers that it returns besides records.
         columns: by channel, the column of its record files: a name, or a position from 1 where they have no header.
-        driver: the channel that measures what drives the experiments.
+        driver: the channel that measures the excitation of the experiments.
         at_sample_times: interpolate records linearly to the times at which the study compares histories.
 
     Raises:
@@ -36,7 +36,7 @@ class Sensors:
     at_sample_times: bool = False
 
     def __post_init__(self):
-        """Check what is declared."""
+        """Check the declaration."""
         self._header  # noqa: B018  (it refuses what cannot be)
 
     @cached_property
@@ -45,7 +45,7 @@ class Sensors:
 
     @property
     def recorded(self) -> dict[str, Channel]:
-        """The channels of the records as they are kept: what was to drive the experiment is one of them."""
+        """The channels of the stored records, including the requested excitation."""
         if not self.channels or self.driver in self.channels:
             return dict(self.channels)
         return {**self.channels, self.driver: Channel(self.driver, output(self.driver).unit)}
@@ -54,14 +54,14 @@ class Sensors:
         """A record in SI.
 
         Arguments:
-            request: what was asked for.
+            request: of the experiment.
             columns: by channel, its samples (n,) in the declared unit.
             source: where they come from, for a message.
-            partial: of an experiment that failed: to be kept as it is, however short and wherever clipped.
+            partial: the record of a failed experiment: it is kept unchanged, even if it is short or clipped.
 
         Raises:
-            ExperimentFailed: a channel is missing, has no numbers, stands still or runs backward in time, or the record
-                does not last as long as the study compares.
+            ExperimentFailed: a channel is missing, has no numbers, stands still or runs backward in time, or the record is
+                shorter than the compared duration.
         """
         if missing := [name for name in self.channels if name not in columns]:
             raise ExperimentFailed(f"{source}: there is no {missing[0]}; given are {', '.join(columns) or 'none'}")
@@ -90,7 +90,7 @@ class Sensors:
             source: where they come from, for a message.
 
         Raises:
-            ExperimentFailed: one is missing or no finite number.
+            ExperimentFailed: one is missing or not finite.
         """
         found = {}
         for name in self.quantities:
@@ -117,7 +117,7 @@ def _numbers(name: str, values: Any) -> np.ndarray:
 
 
 def _sampled(record: Record, times: np.ndarray, source: str) -> Record:
-    """A record at the given times; it must cover them but for one sampling step."""
+    """A record at the given times; it must cover them, except for one sampling step."""
     slack = times[1] - times[0]
     if record.time[0] > slack or record.time[-1] < times[-1] - slack:
         raise ExperimentFailed(

@@ -1,4 +1,4 @@
-"""A virtual laboratory: the specimen is a simulator of its own, with effects the model may lack and noisy sensors."""
+"""A virtual laboratory: the specimen is a separate simulator, with effects that the model may lack and with noisy sensors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,14 +13,13 @@ from hsed_jax.physics.simulator import Conditions, Simulator
 
 @dataclass(frozen=True)
 class VirtualLaboratory:
-    """A specimen that is known.
+    """A known specimen.
 
     Attributes:
         simulator: with the effects of the true specimen.
         parameters: the true parameters (SI).
-        quantities: what is measured, one number per experiment.
-        channels: histories that are measured instead, what drives the experiment among them, at the samples of the simulator's
-            timeline.
+        quantities: the measured ones, one number per experiment.
+        channels: histories that are measured instead, including the excitation, at the samples of the simulator's timeline.
         noise: per quantity; none where absent.
         seed: of the noise; the noise of an experiment depends on its number alone.
     """

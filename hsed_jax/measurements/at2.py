@@ -29,8 +29,8 @@ def read_at2(path: str | Path) -> tuple[float, np.ndarray]:
         The time step [s] and the accelerations (n,) [m/s²].
 
     Raises:
-        UserError: No NPTS and DT in the header, another unit than g, text among the numbers (with its row), or not as
-            many samples as NPTS says.
+        UserError: NPTS or DT is missing in the header, the unit is not g, text is among the numbers (with its row), or
+            the number of samples differs from NPTS.
 
     Example:
         >>> step, acceleration = hx.read_at2("motion.AT2")
@@ -77,7 +77,7 @@ def write_at2(path: str | Path, dt: float, acceleration, title: str = "ground mo
 
 
 def _header(path: Path, lines: list[str]) -> tuple[int, int, float]:
-    """Return how many lines the header has, the number of samples, and the time step [s]."""
+    """Return the number of lines of the header, the number of samples, and the time step [s]."""
     for row, line in enumerate(lines[:20], 1):
         count, step, both = _COUNT.search(line), _STEP.search(line), _COUNT_AND_STEP.match(line)
         if both:

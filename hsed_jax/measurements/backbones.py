@@ -43,7 +43,8 @@ class Idealised:
         peak_force: the largest of the backbone [N].
         ultimate_elongation, ultimate_force: where the second line ends [m], [N].
         stiffness: of the first line [N/m].
-        failed: whether the force falls to 80 % of the largest in the test; where not, the ultimate elongation is a lower bound.
+        failed: whether the force falls to 80 % of the largest in the test; otherwise the ultimate elongation is a lower
+            bound.
     """
 
     yield_elongation: float
@@ -165,10 +166,11 @@ def backbone_of(force, elongation, cycles: Cycles, which: Which = "first") -> Ba
     Arguments:
         force, elongation: Of the loop [N], [m], (m,) each.
         cycles: Its cycles (`hsed_jax.measurements.cycles.cycles_of`).
-        which: `first`: the first of consecutive cycles of one amplitude; `stabilised`: the last, where there are at least two.
+        which: `first`: the first of consecutive cycles of one amplitude; `stabilised`: the last, if there are at least
+            two.
 
     Returns:
-        The points of both directions; of elongations that keep to one side those of one.
+        The points of both directions; if the elongation stays on one side, those of one direction.
 
     Example:
         >>> elongation = np.linspace(0.01, 0.03, 301) * np.sin(np.linspace(0, 6 * np.pi, 301))
@@ -196,7 +198,9 @@ def backbone_of(force, elongation, cycles: Cycles, which: Which = "first") -> Ba
 def _points(
     force: np.ndarray, elongation: np.ndarray, cycles: Cycles, row: int, cycle: int, before: float
 ) -> list[tuple[float, float]]:
-    """The points that one excursion adds: its largest force beyond all before, and its peak where the force has fallen there."""
+    """The points that one excursion adds: its largest force beyond all earlier elongations, and its peak if the force
+    has fallen there.
+    """
     side, top = SIDES[row], int(cycles.at[row, cycle])
     peak, at_peak = float(cycles.elongation[row, cycle]), float(cycles.force[row, cycle])
     part = slice(int(cycles.begin[cycle]), top + 1)
@@ -211,12 +215,14 @@ def _points(
 
 
 def _tells(u: np.ndarray, f: np.ndarray) -> bool:
-    """Whether a backbone of one direction has three points, with forces to its side."""
+    """Whether a backbone of one direction has three points, with forces of the same direction."""
     return u.size >= 3 and float(f.max()) > 0
 
 
 def _failure(u: np.ndarray, f: np.ndarray) -> tuple[float, bool]:
-    """Elongation at which the force has fallen to 80 % of the largest, and whether it does so; otherwise the last elongation."""
+    """Elongation at which the force has fallen to 80 % of the largest (otherwise the last elongation), and whether it
+    falls so far.
+    """
     top = int(np.argmax(f))
     level = _FAILED * float(f[top])
     below = np.flatnonzero(f[top:] < level)

@@ -18,8 +18,9 @@ _MOST = {
     "parts": (10_000, "keep the channels of one record in it, and nothing else"),
 }
 MOST = {kind: most for kind, (most, _) in _MOST.items()}
-"""What is read of one file: bytes of it where it is read whole, unpacked; cells of text; numbers of binary columns; parts, which
-are variables, data sets, groups, columns and sheets."""
+"""Limits for one file: unpacked bytes of a file that is read completely; cells of text; numbers of binary columns;
+parts (variables, data sets, groups, columns and sheets).
+"""
 
 
 def ask(where: object, **asked: int) -> None:
@@ -30,7 +31,7 @@ def ask(where: object, **asked: int) -> None:
         asked: how many of a kind (`MOST`) would be read at least.
 
     Raises:
-        UserError: it is more than is read; with both numbers and what to do.
+        UserError: the content exceeds the budget; the message has both numbers and a remedy.
     """
     for kind, count in asked.items():
         most, advice = _MOST[kind]
@@ -39,10 +40,10 @@ def ask(where: object, **asked: int) -> None:
 
 
 def ask_of_file(path: Path, *, whole: bool) -> None:
-    """Refuse a path that is no file, and a file beyond the budget if it is read whole.
+    """Refuse a path that is not a file, and a file beyond the budget if it is read completely.
 
     Raises:
-        UserError: it is missing, empty, no file, or too large.
+        UserError: it is missing, empty, not a file, or too large.
     """
     try:
         about = path.stat()

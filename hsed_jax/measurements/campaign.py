@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MOTION = ("time", "ground_acceleration")
-"""Channels that impose a ground motion and so measure no response."""
+"""Channels that impose a ground motion and measure no response."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -25,7 +25,7 @@ class Campaign(Header, Tabular):
     """Experiments that share a specimen, a protocol, inputs and channels.  Values are SI, units as declared.
 
     Attributes:
-        name: What was tested.
+        name: Name of the tested object.
         protocol: `ground_motion`, or `displacement`: the elongation was imposed and the force measured.
         inputs: Unit of each variable input.
         channels: Channels of the records by canonical name.  Without `time` the row number is the time.
@@ -42,7 +42,7 @@ class Campaign(Header, Tabular):
     source: str | None = field(default=None, compare=False)
 
     def __post_init__(self):
-        """Check the declaration, then move every value to one that its declared unit can write."""
+        """Check the declaration, then round every value to one that its declared unit can write."""
         super().__post_init__()
         records: dict[int, Record] = {}  # of experiments that share a record, one
         object.__setattr__(self, "experiments", tuple(self._settled(e, records) for e in self.experiments))
@@ -143,7 +143,7 @@ class Campaign(Header, Tabular):
         return replace(self, experiments=(*self.experiments, experiment))
 
     def update(self, experiment: Experiment) -> "Campaign":
-        """Return the campaign with the experiment of the same id replaced, say a pending one by its outcome."""
+        """Return the campaign with the experiment of the same id replaced, for example a pending one by its outcome."""
         self[experiment.id]
         return replace(self, experiments=tuple(experiment if e.id == experiment.id else e for e in self))
 
@@ -165,7 +165,7 @@ class Campaign(Header, Tabular):
             experiments: A table with the columns of experiments.csv (`id`, inputs, quantities, `status`, ...): a pandas
                 DataFrame, a dict of columns, or a list of dicts.  Without it, the ids are those of `records`.
             records: By id, a table of the channels: a DataFrame or a dict of arrays (n,).
-            name: What was tested.
+            name: Name of the tested object.
             protocol: `ground_motion` or `displacement`.
             inputs: Unit of each input column.
             channels: Unit of each channel, or a `Channel` where the column is named otherwise or noise is known.
@@ -189,7 +189,7 @@ class Campaign(Header, Tabular):
 
     @classmethod
     def from_xarray(cls, tree: "xr.DataTree") -> "Campaign":
-        """Rebuild a campaign from what `to_xarray` gave.
+        """Rebuild a campaign from the tree of `to_xarray`.
 
         Raises:
             UserError: The tree was not made by `to_xarray`.

@@ -11,10 +11,10 @@ from hsed_jax.physics.display import amount
 from hsed_jax.physics.names import own_name
 from hsed_jax.physics.outputs import is_driver
 
-SHARED = 0.5  # share of the shorter record whose samples are those of another
-FEWEST = 30  # samples from which that is no chance
-BORDER = 2  # samples that two windows may share where they meet
-BEYOND = 1.5  # test amplitudes over the largest that is fitted
+SHARED = 0.5  # share of the samples of the shorter record that are equal to those of another record
+FEWEST = 30  # number of samples from which this is not chance
+BORDER = 2  # allowed number of common samples at the boundary of two windows
+BEYOND = 1.5  # test amplitudes over the largest fitted amplitude
 
 
 def campaign_doubts(campaign: Campaign) -> Iterator[Finding]:
@@ -58,7 +58,7 @@ def _shared(campaign: Campaign, one: Experiment, other: Experiment, count: int) 
     if shared <= BORDER:
         return  # windows of one record, one after the other
     if one.split != other.split:
-        message = f"{shared} samples of the window are those of {one.id}: fitted samples are no test"
+        message = f"{shared} samples of the window are those of {one.id}: fitted samples cannot test a model"
         yield Finding("doubt", other.id, channel, None, message, "overlap")
     else:
         message = f"{shared} samples are those of {one.id}: is it there twice?"

@@ -27,21 +27,24 @@ PLAUSIBLE = {
 }
 """Range of the largest magnitude [SI] by dimension; outside, the unit is suspect.
 
-The largest testing machine of NIST, which calls it the largest of the world, has 53.4 MN; four times that is no test.
+The largest testing machine of NIST, according to NIST the largest of the world, has 53.4 MN. The limit is four times
+this force.
 """
 
 PLAUSIBLE_GROUND_ACCELERATION = (1e-2, 40.0)
 """The same for the ground [m/s²]; the strongest records reach about 4 g."""
 LEAST_GROUND_VELOCITY = 1.0
-"""Velocity [m/s] below which a larger acceleration is no doubt: a small model is shaken fast, and a unit would multiply both."""
+"""Velocity [m/s] below which a larger acceleration is accepted: small models are shaken with large accelerations, and a
+wrong unit would multiply both.
+"""
 
 PLATEAU = 4  # equal samples at an extreme
 STUCK = 20  # equal samples elsewhere
 JUMP = 5  # a step of the elongation this many times as long as nearly all others, and as those around it
-AROUND = 10  # steps on either side of a jump that it is compared with
-NOISE_FACTOR = 3  # estimated against declared
-QUIET = 10  # samples before the motion that a base line needs
-THOUSANDFOLD = 300.0  # steps that grow or shrink by more, from one sample to the next, are in another unit
+AROUND = 10  # number of steps on either side of a jump for comparison
+NOISE_FACTOR = 3  # estimated over declared noise
+QUIET = 10  # least number of samples before the motion for a base line
+THOUSANDFOLD = 300.0  # larger changes of the steps from one sample to the next mean another unit
 
 
 def quantity_doubts(campaign: Campaign, experiment: Experiment) -> Iterator[Finding]:
@@ -54,7 +57,7 @@ def quantity_doubts(campaign: Campaign, experiment: Experiment) -> Iterator[Find
 
 
 def channel_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
-    """Doubts of every channel alone, and the error of a channel that measured nothing."""
+    """Doubts of every single channel, and the error of a channel that measured nothing."""
     for name, values in record.channels.items():
         if np.ptp(values) == 0:
             # A free vibration has a constant ground and no force; any other constant channel measured nothing.
@@ -115,7 +118,7 @@ def _magnitude(campaign: Campaign, id: str, record: Record, name: str) -> Iterat
 
 
 def _ground_velocity(record: Record) -> float:
-    """Largest velocity of the ground [m/s], without the line that an offset of the acceleration makes of it."""
+    """Largest velocity of the ground [m/s], without the linear trend from an offset of the acceleration."""
     steps = 0.5 * (record["ground_acceleration"][1:] + record["ground_acceleration"][:-1]) * np.diff(record.time)
     velocity = np.concatenate([[0.0], np.cumsum(steps)])
     line = np.polynomial.Polynomial.fit(record.time, velocity, 1)
@@ -147,17 +150,17 @@ def _noise(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[F
 
 
 def _thousandfold(campaign: Campaign, id: str, record: Record, name: str) -> Iterator[Finding]:
-    """Steps that change a thousandfold from one sample to the next: another unit from there on."""
+    """Steps that change a thousandfold from one sample to the next: the unit changes there."""
     steps = np.diff(record.channels[name])
     if steps.size < 4 * AROUND:
         return
     windows = np.lib.stride_tricks.sliding_window_view(steps, AROUND)
     typical = np.median(np.abs(windows), axis=1)
-    # Noise changes its direction, and a motion keeps it: a rest before a motion is no change of unit.
+    # Noise changes its direction, and a motion keeps it: a rest before a motion is not a change of unit.
     moves = np.abs(windows.sum(axis=1)) > 0.5 * np.abs(windows).sum(axis=1)
     before, after = typical[: -AROUND - 1], typical[AROUND + 1 :]  # the step between is that of the change
     counts = moves[: -AROUND - 1] & moves[AROUND + 1 :] & (before > 0) & (after > 0)
-    # With another unit, the values change as much as their steps: a motion that comes to rest is no change of unit.
+    # With another unit, the values change as much as their steps: a motion that comes to rest is not a change of unit.
     values = np.abs(record.channels[name])
     here, there = values[AROUND : AROUND + before.size], values[AROUND + 1 : AROUND + 1 + before.size]
     counts &= np.abs(there - here) > 0.5 * np.maximum(np.maximum(here, there), 1e-300)

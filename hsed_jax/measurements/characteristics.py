@@ -1,4 +1,4 @@
-"""Characteristic values of a campaign, from its data; amplitudes are relative to them, and priors are placed by them."""
+"""Characteristic values of a campaign, from its data. Amplitudes are relative to them, and default priors use them."""
 
 from typing import NamedTuple
 
@@ -97,8 +97,8 @@ def _of_specimen(experiment: Experiment, specimen: str) -> tuple[float, ...]:
     record, rate, stiffness = experiment.record, float("nan"), float("nan")
     elongation = named(specimen, "elongation")
     if record is not None and elongation in record.channels:
-        # A high quantile, because single noisy differences are no rates.
-        with np.errstate(all="ignore"):  # a time that is repeated is an error, which the check of the data says
+        # A high quantile, because single noisy differences are not rates.
+        with np.errstate(all="ignore"):  # the check of the data reports repeated times
             rate = float(np.quantile(np.abs(np.gradient(record[elongation], record.time)), 0.98))
         stiffness = initial_stiffness(record, specimen)
     return (

@@ -16,9 +16,9 @@ from hsed_jax.measurements.unit_doubts import factor_doubts, specimen_doubts
 from hsed_jax.physics.outputs import is_driver
 
 GAP = 8  # time steps this many times longer than the median are gaps, if they are rare
-THOUSANDFOLD = 300.0  # time steps that change so much are in another unit
-SAMPLES = 8  # fewer measured samples are no history: even their noise cannot be told
-FEWEST = 10  # time steps that tell what is usual
+THOUSANDFOLD = 300.0  # larger changes of the time steps mean another unit
+SAMPLES = 8  # least number of measured samples of a history; the noise of fewer cannot be estimated
+FEWEST = 10  # least number of time steps for a usual step
 
 
 def check_campaign(campaign: Campaign) -> list[Finding]:
@@ -54,7 +54,7 @@ def check_campaign(campaign: Campaign) -> list[Finding]:
 
 
 def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozenset(), needs_loops: bool = False) -> None:
-    """Refuse a campaign whose data have errors, or a sign that seems flipped, or no loop where one is needed.
+    """Refuse a campaign if its data have errors, a sign seems flipped, or a required loop is missing.
 
     Arguments:
         campaign: the measurements.
@@ -62,7 +62,7 @@ def stop_at_errors(campaign: Campaign, accepted: Set[tuple[str, str]] = frozense
         needs_loops: a diagnosis follows, so at least one fitted test must have a loop.
 
     Raises:
-        UserError: names the first and says how many there are.
+        UserError: with the first fault and the number of faults.
     """
     found, where = check_campaign(campaign), campaign.source or campaign.name
     errors = [f for f in found if f.level == "error"] + [
@@ -93,7 +93,7 @@ def _record(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
     errors += [f for name in record.channels for f in _finite(id, record, name)]
     yield from errors
     if any(finding.level == "error" for finding in errors):
-        return  # what follows needs a time that runs and numbers that are numbers
+        return  # the following checks need an increasing time and finite numbers
     of_channels = [*channel_doubts(campaign, id, record)]
     yield from of_channels
     if not any(finding.kind == "unit" for finding in of_channels):  # an absurd channel makes its stiffness absurd, too

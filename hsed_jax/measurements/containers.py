@@ -1,4 +1,4 @@
-"""The variables of a binary file (Parquet, MATLAB, HDF5, NumPy, TDMS), listed before any of them is read.
+"""The variables of a binary file (Parquet, MATLAB, HDF5, NumPy, TDMS), listed before they are read.
 
 The libraries that read these formats raise any exception on damaged bytes, and allocate as much as the bytes declare.
 """
@@ -36,7 +36,7 @@ class Variable:
         type: of its elements, in words.
         is_numeric: whether they are real numbers.
         read: reads it, while the file is open.
-        unit: as the file says it; empty where it does not.
+        unit: as in the file; empty if it has none.
     """
 
     shape: tuple[int, ...]
@@ -53,10 +53,10 @@ class Variable:
 
 @contextmanager
 def opened(path: Path) -> Iterator[dict[str, Variable]]:
-    """Within this context, the variables of a binary file by name, in its order; none of them has been read.
+    """Within this context, the variables of a binary file by name, in its order; they are not read yet.
 
     Raises:
-        UserError: it cannot be read, also within where a variable is damaged, or it goes beyond the budget.
+        UserError: it cannot be read, a variable is damaged (raised within the context), or it exceeds the budget.
     """
     ending = path.suffix.lower().lstrip(".")
     ask_of_file(path, whole=False)
@@ -229,7 +229,7 @@ def _matlab(path: Path) -> Iterator[dict[str, Variable]]:
 
 
 def _ask_of_matlab(path: Path) -> None:
-    """Refuse what a MATLAB file unpacks to beyond the budget: a variable may be compressed a thousandfold.
+    """Refuse a MATLAB file whose unpacked content exceeds the budget: a variable may be compressed a thousandfold.
 
     The format is that of MATLAB's "MAT-File Format", level 5: elements of a type and a length, one in another.  A file of level 4
     compresses nothing.
@@ -275,8 +275,8 @@ def _matrices(path: Path, content: memoryview, order: str, before: int) -> int:
         if kind == _MATRIX:
             count += 1
             ask(path, parts=before + count)
-            at += 8  # what it is made of comes next
-        elif kind >> 16:  # a small element, which holds its content where the length would be
+            at += 8  # its elements come next
+        elif kind >> 16:  # a small element has its content in the field of the length
             at += 8
         else:
             at += 8 + length + -length % 8

@@ -24,9 +24,9 @@ class Columns(Tabular):
     """A table of texts and numbers.
 
     Attributes:
-        sentence: what it is.
+        sentence: its content in words.
         heads: of the columns, with their units.
-        rows: cells; NaN where there is no number.
+        rows: cells; NaN without a number.
     """
 
     sentence: str
@@ -42,7 +42,7 @@ class Columns(Tabular):
         return text.getvalue()
 
     def cells(self) -> list[list[str]]:
-        """The rows as they are shown: four digits, a dash where there is no number."""
+        """The rows as they are shown: four digits, a dash without a number."""
         return [[_shown(cell) for cell in row] for row in self.rows]
 
     def _table(self) -> Table:
@@ -53,11 +53,11 @@ def cycle_table(campaign: Campaign) -> Columns:
     """Every cycle of every completed record that has force and elongation, in the declared units.
 
     Arguments:
-        campaign: Not changed.  Of a record that is fitted or scored in part it is that part.
+        campaign: Not changed.  If only a part of a record is fitted or scored, the table has this part.
 
     Returns:
-        A row per cycle: peaks, absorbed energy, equivalent viscous damping, stiffnesses, residual elongation and strength loss
-        (`hsed_jax.measurements.cycles` says what each is), those of the negative side first.
+        A row per cycle: peaks, absorbed energy, equivalent viscous damping, stiffnesses, residual elongation and strength
+        loss (definitions: `hsed_jax.measurements.cycles`), those of the negative side first.
 
     Example:
         >>> table = hx.cycle_table(hx.read_campaign("my_campaign"))
@@ -152,7 +152,7 @@ def _heads(campaign: Campaign) -> list[str]:
 
 
 def _units(campaign: Campaign) -> tuple[str, str, str, str]:
-    """Of elongation, force, energy and stiffness; of several specimens those of the first."""
+    """Units of elongation, force, energy and stiffness; with several specimens those of the first."""
     owners = loops(campaign.channels)
     if not owners:
         return "m", "N", "J", "N/m"

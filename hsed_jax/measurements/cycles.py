@@ -27,7 +27,7 @@ from hsed_jax.measurements.turns import Span, spans
 from hsed_jax.tables import Table, Tabular, cell
 
 SIDES = (-1.0, 1.0)
-"""The rows of what a cycle has on either side."""
+"""Rows of the arrays with a value for either side of a cycle."""
 
 # Samples that count as a peak: within so many times the noise, between these shares of the range of the cycle; and a few before.
 _NOISE, _NEAR, _BEFORE = 3.0, (0.0005, 0.005), 2
@@ -52,7 +52,7 @@ class Cycles(Tabular):
         is_whole: whether a cycle begins and ends in the record, with a peak on either side, (c,).
         elongation, force: at the peaks [m], [N], (2, c); NaN where a cycle has no peak.
         at: sample of each peak, (2, c).
-        energy: absorbed in each cycle [J], (c,); of a cycle that is not whole what the record has of it.
+        energy: absorbed in each cycle [J], (c,); for an incomplete cycle, the part in the record.
         secant_stiffness: from peak to peak [N/m], (c,); NaN of a cycle that is not whole.
         damping: equivalent viscous damping ratio [1], (c,); NaN of a cycle that is not whole.
         unloading_stiffness, reloading_stiffness: [N/m], (2, c); infinite where the force falls at one elongation.
@@ -108,12 +108,12 @@ def cycles_of(force, elongation, along=None) -> Cycles:
     Arguments:
         force: [N], (m,).
         elongation: [m], (m,).
-        along: The elongation whose cycles they are [m], (m,); by default `elongation`.  A prediction is read over the cycles of
-            what was measured.
+        along: The elongation whose cycles they are [m], (m,); by default `elongation`.  A prediction is evaluated over the
+            cycles of the measurement.
 
     Returns:
-        What each cycle is and absorbs.  Slips, holds and missing rows make no cycle; a record that begins in the middle of a
-        cycle has its first one there (`hsed_jax.measurements.turns.spans`).
+        The measures of each cycle.  Slips, holds and missing rows do not make a cycle; a record that begins in the
+        middle of a cycle has its first one there (`hsed_jax.measurements.turns.spans`).
 
     Raises:
         ValueError: The arrays differ in length, or a number is not finite.
@@ -160,7 +160,7 @@ def absorbed_energy(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
 def returned(cycles: Cycles, elongation: np.ndarray, force: np.ndarray) -> list[int]:
     """Numbers, from 1, of the whole cycles that return more energy than they received, which no specimen does.
 
-    The noise of the samples gives a cycle an energy of either sign; an energy within this noise is no doubt.
+    The noise of the samples gives a cycle an energy of either sign; an energy within this noise is not a doubt.
 
     Arguments:
         cycles: of the loop.
@@ -193,7 +193,7 @@ def _peaks(elongation: np.ndarray, found: Sequence[Span]) -> np.ndarray:
 
 
 def _is_reversal(elongation: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Whether the elongation comes to each peak from a smaller magnitude, (2, c)."""
+    """Whether the elongation reaches each peak from a smaller magnitude, (2, c)."""
     reached = elongation[at]
     furthest = np.maximum(
         reached - np.minimum.accumulate(elongation)[at], np.maximum.accumulate(elongation)[at] - reached
@@ -209,7 +209,7 @@ def _is_on_its_side(elongation: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _nearness(elongation: np.ndarray) -> float:
-    """Distance by which the noise moves a peak [m]."""
+    """Distance by which the noise shifts a peak [m]."""
     return _NOISE * noise_estimate(np.arange(elongation.size), elongation) if elongation.size >= 8 else 0.0
 
 
@@ -255,7 +255,7 @@ def _slopes(
 
 
 def _crossing(force: np.ndarray, elongation: np.ndarray, level: float) -> float:
-    """Elongation at which a force that starts above a level first falls to it; NaN where it does not."""
+    """Elongation at which a force that starts above a level first falls to it; NaN if it does not."""
     below = np.flatnonzero(force <= level)
     if not below.size:
         return float("nan")

@@ -32,7 +32,7 @@ def _number_is_absolute(value: Any) -> Any:
 
 
 class ChannelEntry(_Strict):
-    """``{column: F, unit: kN, noise: 0.5}``; the column is called like the channel unless said otherwise."""
+    """``{column: F, unit: kN, noise: 0.5}``; the column is called like the channel by default."""
 
     unit: str
     """Its unit."""
@@ -59,7 +59,8 @@ def read_declaration(path: Path) -> tuple[Campaign, dict[str, str]]:
         records have no header.  In the campaign such a column is called like its channel.
 
     Raises:
-        UserError: No YAML, an unknown or missing key, channel or unit; with file, key and what is allowed.
+        UserError: it is not YAML, or a key, channel or unit is unknown or missing; the message has the file, the key
+            and the allowed values.
     """
     content = parse_yaml(read_text(path), str(path))
     if not isinstance(content, dict):
@@ -82,7 +83,7 @@ def read_declaration(path: Path) -> tuple[Campaign, dict[str, str]]:
             source=str(path.parent),
         )
         if not header.channels and not header.quantities:
-            raise UserError("neither channels nor quantities are declared; say what was measured")
+            raise UserError("neither channels nor quantities are declared; declare the measurements")
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     return header, {name: channel.column or name for name, channel in entry.channels.items()}
@@ -107,7 +108,8 @@ def write_declaration(campaign: Campaign) -> str:
 
 
 def declared_channel(where: str, name: str, entry: ChannelEntry) -> Channel:
-    """The channel or quantity that an entry declares, its noise in SI; a column told by its position is called like it.
+    """The channel or quantity that an entry declares, its noise in SI; a column that is given by its position has the
+    position as its name.
 
     Raises:
         UserError: an unknown unit or an impossible noise, with `where`, the path of the entry, in front.
@@ -126,7 +128,7 @@ def declared_channel(where: str, name: str, entry: ChannelEntry) -> Channel:
 
 
 def _sentence(error: ValidationError) -> str:
-    """The first fault that pydantic found: the key, the fault, and what is allowed."""
+    """The first fault that pydantic found: the key, the fault, and the allowed values."""
     fault = error.errors()[0]
     path = [str(part) for part in fault["loc"]]
     where, given = ".".join(path), shown(fault["input"])

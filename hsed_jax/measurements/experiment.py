@@ -16,7 +16,7 @@ Split = Literal["train", "test"]
 
 @dataclass(frozen=True)
 class Noise:
-    """Measurement noise: a standard deviation, `absolute` [SI] or `relative` to the RMS of what was measured."""
+    """Measurement noise: a standard deviation, `absolute` [SI] or `relative` to the RMS of the measurement."""
 
     absolute: float | None = None
     relative: float | None = None
@@ -47,7 +47,7 @@ class Channel:
     noise: Noise | None = None
 
     def __post_init__(self):
-        """Name the column like the channel unless told otherwise; move the noise to a number the unit can write."""
+        """By default, name the column like the channel; round the noise to a number that the unit can write."""
         object.__setattr__(self, "column", self.column or self.name)
         if self.noise is not None and self.noise.absolute is not None:
             unit = parse_unit(self.unit)
@@ -59,8 +59,8 @@ class Record:
     """A time history: `time` (n,) [s] and `channels`, each (n,) [SI].  The arrays are made read-only.
 
     Raises:
-        UserError: There are fewer than two samples, a channel has another length than the time, or a number is beyond any
-            sense, such as infinity.
+        UserError: There are fewer than two samples, the length of a channel differs from that of the time, or a number
+            is impossible, such as infinity.
     """
 
     time: np.ndarray
@@ -121,9 +121,9 @@ class Experiment:
         record: The measured time histories.  A pending experiment may hold the ground motion that is planned.
         quantities: Measured scalar quantities [SI], instead of or beside the record.
         status: `completed`, `pending`, `failed` or `abandoned`.
-        reason: Why it failed or was abandoned.
+        reason: Reason of a failure or of abandoning it.
         split: `train`, or `test`: never used for fitting.
-        window: First and last time [s] to fit or score; the simulation starts with the record all the same.
+        window: First and last time [s] to fit or score; the simulation always starts with the record.
         metadata: Free text by column name.
 
     Raises:
@@ -142,7 +142,7 @@ class Experiment:
     metadata: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
-        """Check what one experiment can know of itself."""
+        """Check the fields of one experiment, without its campaign."""
         check_id(self.id)
         where = f"experiment {self.id!r}: "
         check_word(self.status, get_args(Status), f"{where}status")
@@ -178,11 +178,11 @@ class Experiment:
             raise UserError(f"{where}no sample lies in the window from {start:g} to {end:g}; widen 'from' and 'to'")
 
     def quantity(self, name: str, masses: int = 0) -> float:
-        """Return a quantity [SI] as it was given, or else as the record tells it; NaN where neither does.
+        """Return a quantity [SI] from the table, otherwise from the record; NaN without both.
 
         Arguments:
             name: Of the quantity (`hsed_jax.physics.outputs`).
-            masses: How many masses the structure has; without them none of their quantities can be told.
+            masses: Number of masses of the structure; without them, no quantity of the masses is available.
         """
         if name in self.quantities:
             return self.quantities[name]
@@ -194,7 +194,7 @@ class Experiment:
 
     @property
     def in_window(self) -> np.ndarray:
-        """Which samples of the record to fit or score, (n,) bool."""
+        """The samples of the record to fit or score, (n,) bool."""
         if self.record is None:
             raise UserError(f"experiment {self.id!r} has no record")
         if self.window is None:

@@ -24,7 +24,7 @@ DoubtKind = Literal[
     "overlap",
     "beyond",
 ]
-"""What may be doubted, as `measurements.accept` of a study names it."""
+"""Kinds of doubts, as `measurements.accept` of a study names it."""
 
 # Ids that YAML reads back unchanged.
 _PLAIN = re.compile(r"(?!(?:y|n|yes|no|on|off|true|false|null)$)[A-Za-z]\w*", re.IGNORECASE)
@@ -38,11 +38,11 @@ class Finding:
         level: `error`: the data cannot be used so; `doubt`: they can, but somebody should look.
         experiment: Its id.
         channel: The channel or quantity.
-        time: When it begins [s], where it has a time; the row, where rows stand for time.
-        message: What was found.
-        kind: What is doubted; None of an error.
+        time: Its start [s]; the row if rows replace the time.
+        message: The finding in words.
+        kind: Kind of the doubt; None for an error.
         has_time: Whether the records have a time.
-        spans: Samples of the record that are meant, each first and one behind last; empty where it is the whole record.
+        spans: Affected samples of the record, each the first and one after the last; empty for the whole record.
     """
 
     level: Literal["error", "doubt"]

@@ -28,7 +28,7 @@ def experiments_of(header: Header, experiments: Any, records: Mapping[str, Any])
         for row in table.to_dict(orient="records")
     ]
     if strange := records.keys() - {str(row.get("id", "")) for row in rows}:
-        raise UserError(f"records: {sorted(strange)} are no ids of experiments; one record per experiment, by id")
+        raise UserError(f"records: {sorted(strange)} are not ids of experiments; give one record per experiment, by id")
     return tuple(_experiment(header, row, records) for row in rows)
 
 
@@ -135,7 +135,7 @@ def fields_of(tree: "xr.DataTree") -> dict[str, Any]:
     try:
         return _fields(tree)
     except (KeyError, AttributeError, json.JSONDecodeError) as error:
-        raise UserError(f"the tree lacks {error}; only what Campaign.to_xarray gave can be read back") from None
+        raise UserError(f"the tree lacks {error}; only a tree from Campaign.to_xarray can be read") from None
 
 
 def _fields(tree: "xr.DataTree") -> dict[str, Any]:

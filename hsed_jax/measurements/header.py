@@ -21,7 +21,7 @@ class Header:
     """The declaration of a campaign.
 
     Attributes:
-        name: What was tested.
+        name: Name of the tested object.
         protocol: `ground_motion`, or `displacement`: the elongation was imposed and the force measured.
         inputs: Unit of each variable input.
         channels: Channels of the records by canonical name.  Without `time` the row number is the time.
@@ -70,7 +70,7 @@ def check_column(name: str, where: str) -> None:
 
 
 def _declared_units(campaign: Header) -> dict[str, Unit]:
-    """Check what a campaign declares and return the unit of every input, channel and quantity.
+    """Check the declaration of a campaign and return the unit of every input, channel and quantity.
 
     Raises:
         UserError: With the name and unit, and what is allowed.

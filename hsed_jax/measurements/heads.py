@@ -21,14 +21,14 @@ _ABOVE = 60  # lines that may stand above the names
 def titles_above(
     path: Path, text: str, wanted: Iterable[str], skipped: int, cells: Callable[[str, str | None], list[str]]
 ) -> int:
-    """How many lines stand above the names of the columns, or above the numbers of a table without names.
+    """Number of lines above the names of the columns, or above the numbers of a table without names.
 
     Arguments:
         path: the file, for messages.
         text: from its first row that is neither blank nor a comment.
         wanted: columns that the record should have.
         skipped: lines before the text.
-        cells: what a line holds between separators.
+        cells: the parts of a line between separators.
 
     Raises:
         UserError: a row of numbers stands above the names.
@@ -64,9 +64,8 @@ def named_columns(
     delimiter: str | None,
     cells: Callable[[str, str | None], list[str]],
 ) -> int:
-    """How many wanted columns a line names between separators.
-
-    Blanks separate only where they do so in the line that follows: ``U [mm],F [kN]`` names no column ``U``.
+    """Number of wanted columns that a line names between separators. Blanks separate only if they do so in the next
+    line: ``U [mm],F [kN]`` names no column ``U``.
     """
     own = [cell.strip() for cell in cells(line.rstrip("\r\n"), delimiter)]
     if delimiter is None and any(len(cells(other.rstrip("\r\n"), None)) != len(own) for other in following):
@@ -75,7 +74,7 @@ def named_columns(
 
 
 def row_of_units(row: Sequence[str], positions: Sequence[int]) -> dict[int, str]:
-    """The units in a row by the position of their column; none where it is no row of units.
+    """The units in a row by the position of their column; empty if it is not a row of units.
 
     Arguments:
         row: cells below the names.
@@ -105,7 +104,7 @@ def ask_of_units(path: Path, told: Mapping[str, str], declared: Mapping[str, str
         try:
             own, said = parse_unit(declared[column]), parse_unit(spelled_unit(text) or bare)
             agree = (own.factor, own.si) == (said.factor, said.si)
-        except UserError:  # of a quantity that no channel is
+        except UserError:  # a unit of another quantity than those of the channels
             agree = False
         if not agree:
             raise UserError(

@@ -1,4 +1,4 @@
-"""One history from a file that is no campaign: the excitation of the experiments of a study."""
+"""One history from a file that is not a campaign: the excitation of the experiments of a study."""
 
 from pathlib import Path
 
@@ -21,13 +21,14 @@ def read_history(path: Path, channel: str) -> tuple[np.ndarray, np.ndarray]:
         Times [s] and samples, each (n,).
 
     Raises:
-        UserError: The file cannot be read, lacks a column, has something else than finite numbers, or a time that does not grow.
+        UserError: The file cannot be read, lacks a column, has values that are not finite numbers, or a time that does
+            not increase.
     """
     ending = path.suffix.lower().lstrip(".")
     if ending == "at2" and channel == "ground_acceleration":
         columns = read_motion(path)
     elif ending in TEXT:
-        # Columns of other names are taken by their places.
+        # Columns with other names are chosen by their positions.
         table = read_record_table(path, ())
         named = [name for name in ("time", channel) if name in table.columns]
         chosen = named if len(named) == 2 else table.columns[:2]
@@ -38,5 +39,5 @@ def read_history(path: Path, channel: str) -> tuple[np.ndarray, np.ndarray]:
         columns = read_columns(path, ["time", channel])
     time, values = columns["time"], columns[channel]
     if time.size < 2 or not (np.isfinite(time).all() and np.isfinite(values).all() and np.all(np.diff(time) > 0)):
-        raise UserError(f"{path}: at least two finite numbers at times that grow are wanted")
+        raise UserError(f"{path}: at least two finite numbers at increasing times are required")
     return time, values

@@ -27,8 +27,7 @@ class Laid:
         units: of each, as the file writes it; empty where it does not.
         is_named: whether the file names its columns.
         rows: positions of the rows of the table in the sheet.
-        sheet: the cells; turned where the channels lie in rows.
-        notes: what was left out, and what was decided.
+        sheet: the cells; transposed if the channels are in rows. notes: omitted parts and decisions.
     """
 
     names: list[str]
@@ -178,14 +177,14 @@ def _header(sheet: Sheet, start: int, columns: Sequence[int], knows: Callable[[s
             unit_row = k, cells
         hits = sum(knows(without_unit(word)[0]) for word in words)
         candidates.append((len(set(words)) / len(columns), hits, k, cells))
-    # If a row of names stands above a row of units, the units are no names.
+    # If a row of names stands above a row of units, the units are not names.
     named = [one for one in candidates if unit_row is None or one[2] != unit_row[0]]
     named = [one for one in named if one[1] or one[0] >= (0.5 if len(one[3]) > 1 else 0.6)]
     if not named and unit_row is not None:
         named, unit_row = [one for one in candidates if one[2] == unit_row[0]], None
     if not named:
         return _Heads(None, [], [])
-    # Among equally full rows, the one with names of channels; among several of these, the nearest.
+    # Of equally full rows, take the row with names of channels; of several, the nearest row.
     fullest = max(named, key=lambda one: (min(one[0], 0.99) if one[1] else one[0] * 0.5, one[1], one[2]))
     return _Heads(fullest[2], fullest[3], [] if unit_row is None else unit_row[1])
 
@@ -243,7 +242,7 @@ def _joined(sheet: Sheet, heads: _Heads, one: tuple[int, int], other: tuple[int,
 
 
 def _apart(sheet: Sheet, parts: Sequence[tuple[int, int]]) -> str:
-    """The note on a few rows of numbers that an empty row separates from all others: samples, or a summary?"""
+    """The note on a few rows of numbers that an empty row separates from all others; they may be samples or a summary."""
     for start, end in (parts[0], parts[-1]):
         rows = range(start, end)
         empty = [k for k in rows if all(kind_of(cell, sheet.is_text) == BLANK for cell in sheet.rows[k])]
@@ -254,7 +253,7 @@ def _apart(sheet: Sheet, parts: Sequence[tuple[int, int]]) -> str:
                 said = (
                     f"row {sheet.numbers[few[0]]}, {where} an empty row, is read as a sample: {_quoted(sheet, few[0])}"
                 )
-                return f"{said}; delete it where it is none"
+                return f"{said}; delete it if it is not a sample"
     return ""
 
 
@@ -295,7 +294,7 @@ def _ask_of_widths(sheet: Sheet, rows: list[int]) -> None:
     if wrong is not None:
         raise UserError(
             f"{sheet.where}, row {sheet.numbers[wrong]}: {len(sheet.rows[wrong])} numbers where other rows have {usual}; blanks "
-            "separate the columns, so that a missing sample needs a mark of its own, such as nan"
+            "separate the columns, so a missing sample needs a mark, such as nan"
         )
 
 

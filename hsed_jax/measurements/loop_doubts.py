@@ -1,7 +1,7 @@
 """Doubts of a loop, from force and elongation together, with a time or without.
 
-* A specimen unloads when its elongation turns.  The largest force lies at that turn or before it.  A force whose extreme
-  comes after the turn is late; one that always comes before it by as many samples is early.
+* A specimen unloads when its elongation turns.  The largest force lies at that turn or before it.  A force is late if
+  its extreme comes after the turn, and early if it always comes the same number of samples before it.
 * Drifting zeros move the middle of every cycle in proportion to the rows, beyond what the amplitude explains.
 * A step back that is faster than the loading is a slip; an elongation that rests while the force relaxes is a hold.
 """
@@ -21,13 +21,13 @@ from hsed_jax.physics.display import amount
 from hsed_jax.physics.names import named
 from hsed_jax.physics.outputs import loops
 
-FEWEST = 4  # turns from which anything is said of their timing
+FEWEST = 4  # least number of turns for a statement on their timing
 LATE = 0.15  # share of late turns; measured specimens have up to 0.03
-EARLY, CYCLE = 0.6, 0.025  # share of early turns, and by how much of a cycle; specimens have up to 0.015
-SIZE = 0.02  # of the force of a half cycle: a force that turns by less has not turned
-LONGEST = 0.2  # of a cycle: a longer lag is none
-CYCLES, LINE, BESIDE = 6, 0.85, 0.75  # middles that tell a drift, and how well a line fits them
-DRIFT = (0.05, 0.6)  # of the largest magnitude; more is an asymmetry
+EARLY, CYCLE = 0.6, 0.025  # share of early turns, and their lead as a share of a cycle; specimens have up to 0.015
+SIZE = 0.02  # share of the force of a half cycle; a smaller change is not a turn of the force
+LONGEST = 0.2  # share of a cycle; a longer lag does not count
+CYCLES, LINE, BESIDE = 6, 0.85, 0.75  # number of middles for a drift, and least quality of their line
+DRIFT = (0.05, 0.6)  # share of the largest magnitude; more is an asymmetry
 SLIP, SLIPPED = 2.0, 0.02  # a slip is so many times as fast as nearly all steps, and this share of the range
 HELD, HOLD, RELAXED = 20, 0.3, 0.05  # samples of a hold, as a share of half a cycle, and how far the force relaxes
 BRANCH = 5  # samples of a branch
@@ -46,7 +46,7 @@ def loop_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding
             continue
         sign = [*_energy(campaign, id, record, owner, found)]
         yield from sign
-        if not sign:  # a late force that explains negative work is said there
+        if not sign:  # a late force that explains negative work is reported by the doubt `sign`
             yield from _timing(campaign, id, record, owner, found)
         yield from _drifts(campaign, id, record, owner, found)
         yield from _slips(campaign, id, record, owner)
@@ -68,7 +68,8 @@ def _one_branch(elongation: np.ndarray, found: np.ndarray) -> str | None:
 
 
 def timing(force: np.ndarray, elongation: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """By how many samples the extreme of the force comes after each turn of the elongation, (h,); negative before it.
+    """Number of samples from each turn of the elongation to the extreme of the force, (h,); negative if the extreme
+    comes first.
 
     Arguments:
         force, elongation: (m,) each, any unit.
@@ -134,7 +135,7 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
         return
     cycle = 2 * float(np.median(np.diff(found)))
     early = -float(np.median(lags[is_early])) if is_early.any() else 0.0
-    # A viscous force is early, too, so with a time this is no doubt.
+    # A viscous force is early, too, so with a time this is not a doubt.
     is_long = early >= CYCLE * cycle and (early >= 2 or early >= 2 * CYCLE * cycle)
     if not campaign.has_time and is_early.mean() > EARLY and is_long:
         message = words(
@@ -149,7 +150,7 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
 
 
 def _lag(campaign: Campaign, record: Record, samples: int) -> str:
-    """A lag in seconds, or in samples where there is no time."""
+    """A lag in seconds, or in samples without a time."""
     if not campaign.has_time:
         return f"{samples} sample{'s' if samples > 1 else ''}"
     return f"{samples * float(np.median(np.diff(record.time))):.2g} s"
@@ -185,7 +186,7 @@ def _drifts(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
     at = found[1:-1]
     values = elongation[at]
     if at.size < CYCLES + 2 or 4 * np.count_nonzero(values[:-1] * values[1:] < 0) < 3 * (at.size - 1):
-        return  # what does not go about zero has no zero to drift
+        return  # without cycles about zero there is no drift of the zero
     crossings = np.asarray([_at_zero(force, elongation, a, b) for a, b in pairwise(at.tolist())])
     for name, ends, where, scale in (
         ("elongation", values, at, float(np.abs(values).max())),
@@ -241,7 +242,7 @@ class _Line(NamedTuple):
 def _line(
     rows: np.ndarray, ends: np.ndarray, amplitude: np.ndarray, samples: int, weights: tuple[float, ...], step: int
 ) -> _Line | None:
-    """The line through the middles of ends with these weights; None of too few."""
+    """The line through the middles of ends with these weights; None if there are too few."""
     x, y, size = (np.convolve(values, weights[::-1], "valid")[::step] for values in (rows, ends, amplitude))
     known = np.isfinite(y)
     if known.sum() < CYCLES:
@@ -281,7 +282,7 @@ def _slips(campaign: Campaign, id: str, record: Record, owner: str) -> Iterator[
 
 
 def _holds(campaign: Campaign, id: str, record: Record, owner: str, found: np.ndarray) -> Iterator[Finding]:
-    """Rests in which the force relaxes."""
+    """Rests during which the force relaxes."""
     name = named(owner, "elongation")
     force, elongation = record.channels[named(owner, "force")], record.channels[name]
     if campaign.protocol != "displacement" or found.size < 3:

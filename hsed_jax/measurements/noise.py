@@ -6,8 +6,8 @@ import numpy as np
 def noise_estimate(time, values) -> float:
     """Estimate the standard deviation of white noise on a smooth signal.
 
-    The median magnitude of third divided differences, scaled for Gaussian noise: cubics cancel, rare jumps do not
-    matter, sampling may be uneven.  Where the sampling does not resolve the signal it is an upper bound.
+    The median magnitude of third divided differences, scaled for Gaussian noise. Cubics cancel, rare jumps have no
+    influence, and sampling may be uneven.  Where the sampling does not resolve the signal it is an upper bound.
 
     Arguments:
         time: Sample times (n,), increasing.

@@ -14,7 +14,8 @@ from hsed_jax.tables import Table
 def overview(campaign: Campaign) -> Table:
     """Largest magnitude of every channel and quantity, initial stiffness and dissipated energy of completed experiments.
 
-    Of a record that is fitted or scored in part it is that part; one that begins later has no initial stiffness.
+    If only a part of a record is fitted or scored, the numbers are those of this part. A part that begins later has no
+    initial stiffness.
     """
     channels = [name for name in campaign.channels if name != "time"]
     owners = loops(campaign.channels)

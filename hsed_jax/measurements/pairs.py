@@ -13,7 +13,7 @@ _ALLOWED = ", ".join(map(str, PAIRS))
 
 
 def pair_of(declared: Mapping[str, Channel]) -> Pair:
-    """Return the pair that the units of channels and quantities belong to; elongation and force where none are of a specimen.
+    """Return the pair of the units of channels and quantities; elongation and force if none belongs to a specimen.
 
     Arguments:
         declared: Channels and quantities by where they are declared, such as `channels.force`.
@@ -40,7 +40,9 @@ def pair_of(declared: Mapping[str, Channel]) -> Pair:
 
 
 def _pairs(where: str, channel: Channel) -> list[Pair]:
-    """The pairs that have a channel or quantity in its unit; none where it is not of the specimen, or there is no such."""
+    """The pairs that have a channel or quantity in its unit; empty if it does not belong to the specimen, or no pair
+    has it.
+    """
     name = channel.name
     try:
         if not output(name).gains:
@@ -66,7 +68,7 @@ def _apart(found: Mapping[str, list[Pair]]) -> tuple[str, str]:
 
 
 def check_masses(where: str, pair: Pair) -> None:
-    """Refuse a pair that no structure of masses has.
+    """Refuse a pair that a structure with masses cannot have.
 
     Arguments:
         where: it is declared.

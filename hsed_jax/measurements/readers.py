@@ -25,8 +25,8 @@ def read_campaign(path: str | Path) -> Campaign:
         path: The folder with campaign.yaml, experiments.csv and the records.
 
     Raises:
-        UserError: Anything that cannot be read with certainty: the message names file, row and column, what is wrong
-            and what is allowed.  Nothing is repaired or left out.
+        UserError: The files are ambiguous or wrong: the message has file, row and column, the fault and the allowed
+            values.  Nothing is repaired or left out.
 
     Example:
         >>> campaign = hx.read_campaign("my_campaign")
@@ -170,7 +170,7 @@ def _record_file(
             f"{table.where(row, 'record')}: {said!r} is named, but campaign.yaml declares no channels to read"
         )
     if not header.channels or (status == "pending" and not said):
-        return None  # what lies in the folder of a pending experiment may still be growing
+        return None  # the files of a pending experiment may still be incomplete
     found = [file for file in files if is_file(file)]
     if len(found) > 1:
         names = ", ".join(file.name for file in found)

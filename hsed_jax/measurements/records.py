@@ -18,7 +18,7 @@ TEXT = ("csv", "txt", "tsv", "dat")
 FORMATS = (*TEXT, *CONTAINERS, "at2")
 """Endings of record files that can be read."""
 
-# What MATLAB calls a column of a matrix, or a row of it.
+# MATLAB's notation of a column or a row of a matrix.
 _PART = re.compile(r"(.+)\((?::\s*,\s*(\d+)|(\d+)\s*,\s*:)\)")
 
 
@@ -60,14 +60,14 @@ def read_columns(
 
 
 def vectors_of(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str], list[str], dict[str, str]]:
-    """Read every vector of a binary file that could be a channel, and say what is wrong with the others.
+    """Read every vector of a binary file that could be a channel, and report the faults of the others.
 
     Arguments:
         path: The file; its ending tells the format.  Columns of a matrix have the names that `read_columns` takes.
 
     Returns:
-        Vectors by name, in the file's units, each (n,), of whatever n; faults by name; all names in the file's order; units by
-        name, where the file says them.
+        Vectors by name, in the file's units, each (n,) with its own n; faults by name; all names in the file's order;
+        units by name, if the file has them.
 
     Raises:
         UserError: The file is unreadable or goes beyond the budget.
@@ -114,7 +114,7 @@ def _ending(path: Path) -> str:
 def _present(wanted: list[str], optional: set[str], found: Iterable[str]) -> list[str]:
     """Leave out the optional columns if the file holds all the others and nothing else.
 
-    A column that nobody asked for may be a misspelt one; then none is optional and the missing one is named.
+    An unknown column may be a misspelt one. Then no column is optional, and the message names the missing one.
     """
     others = [name for name in wanted if name not in optional]
     return others if set(found) - {""} == set(others) else wanted
@@ -122,7 +122,7 @@ def _present(wanted: list[str], optional: set[str], found: Iterable[str]) -> lis
 
 @dataclass(frozen=True)
 class _Part:
-    """A variable of a binary file, or a column or row of it; `said` is what it was called."""
+    """A variable of a binary file, or a column or row of it; `said` is its given name."""
 
     path: Path
     said: str
@@ -163,7 +163,7 @@ class _Part:
 
 
 def _part(path: Path, found: Mapping[str, Variable], said: str) -> _Part:
-    """What a name stands for; a structure of MATLAB is a group in a v7.3 file."""
+    """The object of a name; a structure of MATLAB is a group in a v7.3 file."""
     matrix = _PART.fullmatch(said)
     for name, part in ((said, None), *([(matrix[1], matrix)] if matrix else [])):
         for spelled in (name, name.replace(".", "/")):

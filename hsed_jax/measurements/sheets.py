@@ -26,14 +26,14 @@ _LINE_WITH_ERROR = re.compile(r"#([A-Z0-9/]+[!?]|N/A|NV|N/D)(\s*[,;\t ]|\s*$)|##
 _NUMBERS = (int, float, datetime.datetime, datetime.time, datetime.timedelta)
 _INTEGER = re.compile(r"[+-]?\d+")
 _MISSING = {"n/a", "na", "-", "--", "---", "null", "none", "nil", "missing", "*", "?", "."}
-"""What loggers write where a sample is missing, besides nan and an empty cell."""
+"""Marks of loggers for a missing sample, besides nan and an empty cell."""
 
 BLANK, NUMBER, MISSING, TEXT = range(4)
-"""Kinds of a cell; nan is a number, and so are dates and times of day, which count seconds."""
+"""Kinds of a cell. nan counts as a number. Dates and times of day are numbers of seconds."""
 STAMP = re.compile(r"((\d{4}-\d{2}-\d{2}|\d{1,2}[./]\d{1,2}[./]\d{2,4})[ T])?\d{1,2}:\d{2}:\d{2}([.,]\d+)?")
 """A time of day, with a date before it or without."""
 THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,' \u00a0\u202f]\d{3})+([.,]\d*)?")
-"""A number with thousands separators; where they are, it is no number to us, but tells the separator of the columns."""
+"""A number with thousands separators. It is not read as a number, but it shows the separator of the columns."""
 _MINUS = re.compile(r"[\u2212\u2012\u2013](?=[\d.,])")
 
 
@@ -48,7 +48,7 @@ class Sheet:
         comments: positions in `rows` of lines that are comments; the marks are taken away.
         delimiter: what separates the cells of a text; None of blanks.
         heads: the first lines of a text as they are written, by their positions in `rows`.
-        is_text: whether the cells are texts that may be numbers; a workbook says itself what is a number.
+        is_text: whether the cells are texts that may be numbers; a workbook has typed numbers.
     """
 
     where: str
@@ -91,7 +91,7 @@ def sheet_of(path: Path, text: str | None = None) -> Sheet:
     """Read a file of text into cells; `text` is its content, where that has been read.
 
     Raises:
-        UserError: the file cannot be read, is empty, goes beyond the budget, or is no text.
+        UserError: the file cannot be read, is empty, goes beyond the budget, or is not text.
     """
     text = read_text(path) if text is None else text
     ask(path, cells=max(text.count("\n"), text.count("\r")))
@@ -151,7 +151,9 @@ def _decoded(data: bytes) -> str:
 
 
 def _decoded_by_script(data: bytes) -> str:
-    """Shift-JIS if it makes pairs of the first block, which Western texts hardly have; otherwise the encoding of Windows."""
+    """Shift-JIS if the first block has its typical pairs of bytes, which Western texts hardly have; otherwise the
+    encoding of Windows.
+    """
     if len(re.findall(rb"[\x81-\x84\x88-\x90\x93-\x9f][\x40-\x7e\x80-\xfc]", data[:20_000])) >= 2:
         try:
             return data.decode("cp932")
@@ -173,7 +175,7 @@ def is_comment(line: str) -> bool:
 
 
 def _delimiter(lines: list[str]) -> str | None:
-    """The separator of the numbers: the one by which most cells of most lines are numbers, in rows of one width."""
+    """The separator of the numbers: with it, most cells of most lines are numbers, in rows of one width."""
     # The first lines, because titles come first, and lines spread over the rest.
     rest = lines[len(lines) // 3 :]
     sampled = rest[:: max(1, len(rest) // _SAMPLED)]
@@ -217,7 +219,7 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
 
 
 def _quoted(sheet: Sheet, lines: list[str], delimiter: str, comments: set[int]) -> None:
-    """Rows of lines with quotes; a quoted cell may hold a line break, but none that is never closed."""
+    """Rows of lines with quotes; a quoted cell may contain a line break, but must be closed."""
     at, rows = 0, []
     while at < len(lines):
         end = at + 1

@@ -71,7 +71,7 @@ _LAST = re.compile(r"(.*\w)[\s_]+(\S+)\s*")
 def spelled_unit(text: str) -> str | None:
     """The unit that a text spells, as `parse_unit` reads it; None where it spells none of a channel of a record.
 
-    A unit that differs from another one by its case alone (mN and MN) is read as it stands.
+    The case matters if it distinguishes two units (mN and MN).
     """
     bare = _bare(text)
     if bare in _EXACT:
@@ -88,7 +88,7 @@ def is_unit(text: str) -> bool:
 
 
 def without_unit(name: str) -> tuple[str, str]:
-    """A header without its unit, and the unit as it is written; empty where there is none.
+    """A header without its unit, and the unit as it is written; empty without one.
 
     The unit stands in brackets (``Force [kN]``), behind a comma, a slash or a word (``Force, kN``, ``F/kN``, ``Kraft in kN``), or
     it is the last word (``disp_mm``).  Full-width letters and brackets, as Japanese files have them, are read as plain ones.

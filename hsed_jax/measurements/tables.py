@@ -36,12 +36,12 @@ class Table:
 
     Attributes:
         path: The file.
-        columns: Header of each column, blank where the header cell is; the position from 1 where there is no header.
+        columns: Header of each column, blank where the header cell is; the position from 1 without a header.
         rows: Cells by row, as many as there are columns.
         row_numbers: Row of each, from 1, as a spreadsheet shows it.
         decimal_comma: Whether numbers may have a decimal comma (the separator is not a comma).
         has_header: Whether the file names its columns.
-        units: Unit by column of a row of units below the names, as it is written; empty where there is no such row.
+        units: Unit by column of a row of units below the names, as it is written; empty without such a row.
     """
 
     path: Path
@@ -53,7 +53,7 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def where(self, row: int, column: str | None = None) -> str:
-        """Say where the cell in `rows[row]` stands, for a message."""
+        """Return the position of the cell in `rows[row]`, for a message."""
         return f"{self.path}, row {self.row_numbers[row]}" + ("" if column is None else f", column {column!r}")
 
     def position(self, column: str) -> int:
@@ -69,12 +69,12 @@ class Table:
             return int(column) - 1
         if count > 1:
             raise UserError(
-                f"{self.path}: the header names column {column!r} {count} times; a column has a name of its own"
+                f"{self.path}: the header names column {column!r} {count} times; names of columns must differ"
             )
         found = _named(self.columns)
-        note = "" if self.has_header else " (the file has no header: say the column's position)"
+        note = "" if self.has_header else " (the file has no header: give the position of the column)"
         if self.has_header and column.isdecimal():
-            note = " (the file has a header: say the column's name)"
+            note = " (the file has a header: give the name of the column)"
         blank = "; a header cell is empty (a merged cell?)" if "" in self.columns else ""
         raise UserError(f"{self.path}: column {column!r} is missing; the columns are {found}{note}{blank}")
 
@@ -86,7 +86,7 @@ class Table:
         """Return whether the numbers in these columns are written with a decimal comma.
 
         Raises:
-            UserError: The mark in them may separate thousands as well, and no number of the file tells.
+            UserError: The mark in them may also separate thousands, and no number of the file decides.
         """
         if not self.decimal_comma:
             return False
@@ -121,7 +121,7 @@ class Table:
         """Return a cell as a number; `comma` says that the decimal mark is a comma.
 
         Raises:
-            UserError: The cell is not a number; the message says what it looks like.
+            UserError: The cell is not a number; the message describes its content.
         """
         return self._number(row, column, self.rows[row][self.position(column)].strip(), comma)
 
@@ -182,12 +182,12 @@ _NAMED = 25
 
 
 def can_head_record(name: str) -> bool:
-    """Return whether a text as a column's name is told from numbers, comments and separators."""
+    """Return whether a text can be the name of a column: no number, comment or separator."""
     return any(c.isalnum() for c in name) and not is_number(name) and not name.startswith(("#", "%", "//", "sep="))
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, with either decimal mark; a row of such cells is no header."""
+    """Return whether a cell is a number, with either decimal mark; a row of such cells is not a header."""
     return any(pattern.fullmatch(cell) for pattern in (NUMBER_WITH_POINT, NUMBER_WITH_COMMA, NOT_FINITE))
 
 
@@ -213,9 +213,7 @@ def read_experiment_table(path: Path) -> Table:
                 f"{path}, row {numbers[0]}: the header of column {i + 1} is empty (a merged cell?); name it"
             )
         if columns.count(column) > 1:
-            raise UserError(
-                f"{path}, row {numbers[0]}: column {column!r} appears twice; a column has a name of its own"
-            )
+            raise UserError(f"{path}, row {numbers[0]}: column {column!r} appears twice; names of columns must differ")
     return Table(path, tuple(columns), [rows[i] for i in filled], [numbers[i] for i in filled], delimiter != ",", True)
 
 
@@ -224,7 +222,7 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
 
     Arguments:
         path: The file.
-        wanted: Columns that the record should have: they decide which separator is meant, and where the header is.
+        wanted: Columns that the record should have: they determine the separator and the position of the header.
 
     Raises:
         UserError: With file and row: not text, empty, ragged rows, numbers above the header.
@@ -249,7 +247,7 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
         _ask_of_names(path, columns, wanted)
         told = row_of_units(rows[0], [k for k, column in enumerate(columns) if column in wanted]) if rows else {}
         units = {columns[k]: unit for k, unit in told.items()}
-        # A row of units and blank rows above the numbers are no samples.
+        # A row of units and blank rows above the numbers are not samples.
         start = next((k for k in range(len(told) > 0, len(rows)) if any(map(str.strip, rows[k]))), len(rows))
         rows, numbers = rows[start:], numbers[start:]
     else:
@@ -264,10 +262,10 @@ def read_record_table(path: Path, wanted: Iterable[str]) -> Table:
 
 
 def _ask_of_names(path: Path, columns: list[str], wanted: Set[str]) -> None:
-    """Refuse a text of which no row names a wanted column, with the names that it has instead.
+    """Refuse a text in which no row names a wanted column, with the names that it has instead.
 
     Raises:
-        UserError: with the names, of whichever row has them.
+        UserError: with the names.
     """
     if not wanted or wanted & {*columns} or all(column.isdecimal() for column in wanted):
         return
@@ -301,7 +299,7 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
         return line.split()
     try:
         return next(csv.reader([line], delimiter=delimiter), [])
-    except csv.Error:  # a cell beyond any length; `_split` says in which row
+    except csv.Error:  # a cell beyond any length; `_split` finds the row
         return [line]
 
 

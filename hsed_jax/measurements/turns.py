@@ -1,7 +1,8 @@
 """The turns of an elongation, and the cycles and branches between them.
 
-A turn counts if it exceeds the noise.  A step back that is small compared with the path before or after it, such as a slip of
-the actuator or a correction of its controller, is no turn of the loading.  A hold, in which the elongation rests, has no turn.
+A turn counts if it exceeds the noise.  A step back that is small compared with the path before or after it does not
+count as a turn of the loading. Examples are a slip of the actuator and a correction by its controller.  A hold, in
+which the elongation rests, has no turn.
 """
 
 from itertools import pairwise
@@ -16,7 +17,7 @@ _SLIP = 0.15
 _NOISE = 6.0
 """A turn exceeds the noise so many times."""
 _LEAST, _MOST = 0.002, 0.02
-"""The slack that noise asks for lies between these shares of the range."""
+"""Limits of the slack for the noise, as shares of the range."""
 _REST = 0.1
 """A cycle begins and ends at zero within this share of its peak."""
 
@@ -26,9 +27,10 @@ class Span(NamedTuple):
 
     Attributes:
         begin, end: first sample, and the one after the last.
-        is_whole: whether it begins and ends where a cycle does, with a peak on either side.
+        is_whole: whether it is complete, with a peak on either side.
         is_fragment: whether it is the end of a cycle that began before the record: it has no peak.
-        is_about_zero: whether it goes about zero; else from a turn to the next but one, each of which is a peak.
+        is_about_zero: whether it goes about zero; otherwise it goes from a turn to the second turn after it, and each
+            turn is a peak.
     """
 
     begin: int
@@ -41,7 +43,7 @@ class Span(NamedTuple):
 def half_cycles(elongation: np.ndarray) -> np.ndarray:
     """Samples at which the elongation turns, the first and the last sample included, (h+1,).
 
-    A turn is one of at least 2 % of the range, so that noise makes none.
+    A turn has at least 2 % of the range, so that noise does not make turns.
     """
     return _zigzag(elongation, 0.02 * float(np.ptp(elongation)))
 
@@ -76,12 +78,13 @@ def with_slips(elongation: np.ndarray) -> np.ndarray:
 def spans(elongation: np.ndarray) -> list[Span]:
     """The cycles of a record, in order; together they hold every sample.
 
-    A cycle is an excursion to the side of the first one and the return from the other side: it ends where the elongation crosses
-    zero in the direction of the first excursion.  Where most of the ways between two turns do not cross zero, because the test
-    keeps to one side or about another mean, a cycle goes from a turn to the next but one.
+    A cycle has an excursion to the side of the first excursion, one to the other side, and the return: it ends where
+    the elongation crosses zero in the direction of the first excursion. If most of the paths between two turns do not
+    cross zero, because the test stays on one side or cycles about another mean, a cycle goes from a turn to the second
+    turn after it.
 
-    A record that begins in the middle of a cycle, as a window may, has its first cycle there; if it begins after the peak of an
-    excursion, what is left of that is a fragment of its own, and the first cycle follows.
+    A record that begins in the middle of a cycle, as a window may, has its first cycle there. If it begins after the
+    peak of an excursion, the rest of the excursion is a separate fragment, and the first cycle follows.
     """
     elongation = np.asarray(elongation, dtype=float)
     if elongation.size < 3 or not np.ptp(elongation) > 0:
@@ -100,15 +103,15 @@ def spans(elongation: np.ndarray) -> list[Span]:
 
 
 def cycle_numbers(elongation: np.ndarray) -> np.ndarray:
-    """Number of the cycle that each sample belongs to, from 0, (m,); `spans` says what a cycle is."""
+    """Number of the cycle that each sample belongs to, from 0, (m,); `spans` defines a cycle."""
     return np.repeat(*np.asarray([(i, span.end - span.begin) for i, span in enumerate(spans(elongation))]).T)
 
 
 def branches(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
     """Branch of the loop at each sample: `near zero`, `reversal`, `loading` or `unloading`.
 
-    Near zero is a force below a third of the largest in the half-cycle; a reversal is the first tenth of the way from one
-    turn of the elongation to the next; unloading is a force against the motion.
+    A force is near zero below a third of the largest in the half-cycle. A reversal is the first tenth of the path from
+    one turn of the elongation to the next. Unloading is motion against the force.
     """
     ends = half_cycles(elongation)
     if ends.size < 2:
@@ -185,7 +188,7 @@ def _about_zero(elongation: np.ndarray, found: np.ndarray) -> list[Span]:
 
 
 def _from_turn_to_turn(elongation: np.ndarray, found: np.ndarray) -> list[Span]:
-    """Cycles from a turn to the next but one."""
+    """Cycles from a turn to the second turn after it."""
     values, result = elongation[found], []
     for first in range(0, len(found) - 1, 2):
         last = min(first + 2, len(found) - 1)

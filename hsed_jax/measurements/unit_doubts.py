@@ -40,12 +40,14 @@ LARGE = 100.0  # specimens of one campaign differ by less
 NEAR = {
     False: 1.15,
     True: 4.0,
-}  # a ratio is that of two units where it differs by less; a large factor allows for the specimens
-AMONG = 1.5  # the same where several experiments tell it
+}  # a ratio within this factor is that of two units; a large factor allows for differences of specimens
+AMONG = 1.5  # the same for several experiments
 ALIKE = {False: 1.35, True: 10.0}  # scatter of the ratios over the levels at which two experiments are compared
 LEVELS = {"force": (0.3, 0.5, 0.7, 0.9), "elongation": (0.2, 0.3, 0.4, 0.5)}
-"""These levels, as shares of the range that both have: a plateau of the force says nothing of the elongation."""
-MOST = 15  # experiments that each one is compared with
+"""Levels of the comparison, as shares of the common range; a plateau of the force carries no information on the
+elongation.
+"""
+MOST = 15  # largest number of experiments for a comparison
 SAME = 1.25  # peaks over their input differ by less where the input is the amplitude
 
 
@@ -61,7 +63,7 @@ class _Growth(NamedTuple):
 
 
 def specimen_doubts(campaign: Campaign, id: str, record: Record) -> Iterator[Finding]:
-    """A secant stiffness that no specimen has."""
+    """An implausible secant stiffness."""
     low, high = STIFFNESS[campaign.pair.elongation_unit]
     for owner in loops(record.channels):
         name, other = named(owner, "force"), named(owner, "elongation")
@@ -107,7 +109,7 @@ def _is_near(one: float, other: float, factor: float) -> bool:
 
 
 def _distinct(campaign: Campaign) -> list[Experiment]:
-    """Completed experiments with a record of their own: windows of one record are one experiment here."""
+    """Completed experiments, each with its own record: windows of one record count as one experiment."""
     found: dict[int, Experiment] = {}
     for experiment in campaign.completed:
         if experiment.record is not None:
@@ -142,7 +144,7 @@ def _against_others(campaign: Campaign, measured: Sequence[Experiment]) -> Itera
                 more = f", and as far from the {len(others) - 1} others" if len(others) > 1 else ""
                 message = f"at the same {at} it is {size} that of {nearest}{more}: are {units} mixed?"
                 yield Finding("doubt", id, name, None, message, "unit")
-                break  # one of both channels explains it
+                break  # one of the two channels explains it
 
 
 class _Compared(NamedTuple):
@@ -178,7 +180,7 @@ def _factor(dimension: Dimension, compared: Sequence[_Compared]) -> tuple[float,
 
 
 def _growth(record: Record | None, owner: str) -> dict[str, _Growth]:
-    """By channel, its growth with the other channel of a loop; none of a record without one."""
+    """By channel, its growth with the other channel of a loop; empty for a record without a loop."""
     names = {channel: named(owner, channel) for channel in LEVELS}
     if record is None or not {*names.values()} <= record.channels.keys():
         return {}

@@ -85,7 +85,7 @@ def channel_dimension(name: str, pair: Pair = ELONGATION_AND_FORCE) -> Dimension
     """Return the dimension of a canonical channel (`hsed_jax.physics.outputs`) of a specimen measured in a pair.
 
     Raises:
-        UserError: `name` is no canonical channel.
+        UserError: `name` is not a canonical channel.
     """
     try:
         channel(name)
@@ -99,7 +99,7 @@ def quantity_dimension(name: str, pair: Pair = ELONGATION_AND_FORCE) -> Dimensio
     """Return the dimension of a canonical quantity (`hsed_jax.physics.outputs`) of a specimen measured in a pair.
 
     Raises:
-        UserError: `name` is no canonical quantity.
+        UserError: `name` is not a canonical quantity.
     """
     if is_quantity(name):
         return _BY_UNIT[pair.output(name).unit]
@@ -149,7 +149,7 @@ def parse_unit(text: str, dimension: Dimension | None = None) -> Unit:
 
     Arguments:
         text: The unit.  ``g`` is standard gravity; ``-`` and ``1`` are dimensionless.
-        dimension: What the unit must measure; `None` allows anything (an input of an experiment).
+        dimension: The required dimension of the unit; `None` allows anything (an input of an experiment).
 
     Raises:
         UserError: The unit is unknown, has an offset (degC), or has another dimension.
@@ -176,7 +176,7 @@ def measures(text: str, dimension: Dimension) -> bool:
 def _registry():
     import pint
 
-    exact: Any = Fraction  # pint says float and takes any type of number
+    exact: Any = Fraction  # pint declares float and accepts any type of number
     try:
         # Reading pint's table of units takes a quarter of a second, so the result is kept.
         folder = cache_folder()
@@ -207,7 +207,7 @@ def _by_pint(text: str) -> tuple[Fraction, str, str]:
         two = registry.Quantity(Fraction(2), unit).to_base_units().magnitude
         base = one.to_base_units()
         proportional = two == 2 * base.magnitude
-    except Exception:  # pint raises anything from AttributeError to TokenError on what it cannot read
+    except Exception:  # pint raises any exception from AttributeError to TokenError on unreadable text
         raise ValueError(f"unknown unit {shown(text)}") from None
     if not text.strip():
         raise ValueError("the unit is empty")

@@ -13,12 +13,12 @@ from hsed_jax.measurements.experiment import Experiment
 def write_campaign(campaign: Campaign, folder: str | Path) -> None:
     """Write a campaign as a folder that `read_campaign` reads back to the same numbers.
 
-    Records are CSV in the declared units; experiments that share a record share its file.  Every file is complete before it
-    takes its name, and experiments.csv comes last, so that a reader never sees half a campaign.
+    Records are CSV in the declared units; experiments that share a record share its file.  Every file is complete
+    before it takes its name, and experiments.csv comes last, so that a reader never finds an incomplete campaign.
 
     Arguments:
-        campaign: What to write.
-        folder: Where to; made if it is not there.  Files of the same names are replaced.
+        campaign: The campaign.
+        folder: The folder; it is created if it does not exist.  Files of the same names are replaced.
 
     Example:
         >>> hx.write_campaign(hx.read_files("wall.csv"), "my_campaign")
@@ -43,7 +43,7 @@ def write_experiment(campaign: Campaign, id: str, folder: str | Path) -> None:
     """
     owners = _owners(campaign)
     for owner in dict.fromkeys(owners.values()):
-        # An experiment that shared its record with this one until now has no file of its own.
+        # An experiment that shared its record with this one so far has no separate file.
         if owner == owners[id] or (
             campaign[owner].record is not None and not (Path(folder) / _record_name(owner)).exists()
         ):

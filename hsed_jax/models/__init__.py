@@ -1,1 +1,1 @@
-"""Models that are no spring law: a function of the user's own, or a program."""
+"""Models other than spring laws: a function of the user, or a program."""

@@ -1,8 +1,8 @@
-r"""A plain function, which JAX cannot trace, as one that it can call and differentiate: by central differences.
+r"""A plain function that JAX cannot trace, in a form that JAX can call and differentiate: by central differences.
 
-The step of a parameter is a share of its prior's spread, or of its distance to a bound where that is less:
-$h = 10^{-3}\,\min(\sigma, d)$.  What the function computes is then needed to some six digits, and what a simulation leaves
-out below that does no harm.
+The step of a parameter is a share of its prior's spread, or of its distance to a bound if that is smaller:
+$h = 10^{-3}\,\min(\sigma, d)$.  The output of the function must then be accurate to about six digits; smaller errors of a
+simulation are harmless.
 """
 
 import logging
@@ -25,7 +25,8 @@ from hsed_jax.physics.outputs import is_quantity
 
 _LOG = logging.getLogger(__name__)
 _SHARE, _LEAST = 1e-3, 1e-3
-# Results that are kept: a search asks for the value before the derivatives at the same point, and padding repeats the last.
+# Results are cached: a search needs the value before the derivatives at the same point, and padding repeats the last
+# call.
 _KEPT = 4096
 
 
@@ -42,11 +43,11 @@ class Free(NamedTuple):
 class Differenced:
     """A plain function, or a program, as a function that JAX can call: values and differences are computed outside of it.
 
-    Two of one function are equal, so that they share compiled programs.  A call that fails is a failure of that simulation (its
-    outputs are NaN), and the first one of them is told in the log.
+    Two objects of one function are equal, so that they share compiled programs.  A call that fails is a failure of that
+    simulation (its outputs are NaN), and the first failure is written to the log.
 
     Attributes:
-        function: of floats and NumPy arrays; it is told no more times than the record has.
+        function: of floats and NumPy arrays; it gets only the times of the record.
         name: of the function, for messages.
         outputs: the quantities and channels that it returns.
         free: the parameters to differentiate with respect to.
@@ -78,7 +79,7 @@ class Differenced:
         return found
 
     def many(self, tasks: list[tuple[dict[str, float], dict[str, Any]]]) -> list[np.ndarray]:
-        """The outputs of some calls, one after the other, each (J,) with what padding left out repeated."""
+        """The outputs of some calls, one after the other, each (J,), with the padding of short records restored."""
         if self.workers == 1:
             return [self._one(*task) for task in tasks]
         with ThreadPoolExecutor(self.workers) as threads:
@@ -113,7 +114,7 @@ class Differenced:
         return np.concatenate(columns)
 
     def _tell(self, error: BaseException) -> None:
-        """Say the first failure; the others count as it does."""
+        """Log the first failure; the others count in the same way."""
         with self._lock:
             if self._told:
                 return
@@ -122,7 +123,7 @@ class Differenced:
 
 
 def unpadded(inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """What a plain function is told of an experiment: its histories without the padding of a short record, which stands still."""
+    """The histories of an experiment for a plain function, without the constant padding of a short record."""
     if "time" not in inputs:
         return dict(inputs)
     length = 2 + int(np.max(np.nonzero(np.diff(inputs["time"]))[0], initial=-1))

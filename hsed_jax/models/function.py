@@ -17,8 +17,9 @@ from hsed_jax.physics.simulator import AbstractModel, Conditions, Scalar
 from hsed_jax.physics.timeline import Timeline
 
 Respond = Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]]
-"""From parameters by name, and from the inputs of an experiment by name (SI) with its `time` and what it was driven by, to
-quantities (numbers) and channels (one number for each time), by name and in SI."""
+"""From parameters by name, and from the inputs of an experiment by name (SI) with its `time` and its excitation, to
+quantities (numbers) and channels (one number for each time), by name and in SI.
+"""
 
 
 @final
@@ -28,8 +29,8 @@ class FunctionModel(AbstractModel):
     Attributes:
         function: traceable by JAX, as `Differenced` makes any.
         given: the quantities and channels that it returns.
-        excitation: from inputs to what drives it; None where every experiment brings its record, or has none.
-        timeline: the times of an experiment without a record; None where there is no excitation.
+        excitation: from inputs to the excitation; None if every experiment has its record, or there is no excitation.
+        timeline: the times of an experiment without a record; None without an excitation.
         constants: parameters that are fixed numbers.
     """
 
@@ -41,7 +42,7 @@ class FunctionModel(AbstractModel):
 
     @property
     def owners(self) -> tuple[str, ...]:
-        """The specimens that what the function returns is of; that of the only one is empty."""
+        """The specimens of the outputs of the function; the name of a single specimen is empty."""
         return tuple(dict.fromkeys(owner_of(name) for name in self.given if output(name).of_specimen)) or ("",)
 
     def gives(self, name: str) -> bool:
@@ -61,13 +62,13 @@ class FunctionModel(AbstractModel):
         channels: tuple[str, ...] = (),
         quantities: tuple[str, ...] = (),
     ) -> Response:
-        """What the function returns for one experiment; not ok where any of it is no finite number.
+        """The output of the function for one experiment; not ok if an output is not finite.
 
         Arguments:
             parameters: by name.
             conditions: inputs and record of the experiment.
             channels: names of the histories to keep.
-            quantities: of no use here: what the function returns is known.
+            quantities: not used, because the outputs of the function are known.
         """
         returned = self.function({**dict(self.constants), **parameters}, self.told(conditions))
         found = {name: jnp.asarray(returned[name], dtype=float) for name in self.given}
@@ -76,8 +77,8 @@ class FunctionModel(AbstractModel):
         return Response(values, {name: found[name] for name in channels}, ok)
 
     def told(self, conditions: Conditions) -> dict[str, Any]:
-        """What the function is told of an experiment: its inputs (SI), and where there are such its times [s] from 0 and what it
-        was driven by, each (n,): `ground_acceleration`, `applied_force_i` on mass i, or `elongation` and `elongation_rate`.
+        """The input of the function for an experiment: the inputs (SI), and, if they exist, the times [s] from 0 and the
+        excitation, each (n,): `ground_acceleration`, `applied_force_i` on mass i, or `elongation` and `elongation_rate`.
 
         A record that is shorter than the longest one is padded with its last sample, at the same time.
         """
@@ -95,26 +96,26 @@ class FunctionModel(AbstractModel):
 
 
 def _histories(samples: Any) -> dict[str, Any]:
-    """Samples of what drove an experiment, by name."""
+    """Samples of the excitation of an experiment, by name."""
     rate = {"elongation_rate": samples.rate} if isinstance(samples, Imposed) else {}
     return channels_of(samples) | rate
 
 
 def is_told(name: str) -> bool:
-    """Whether a function may be told a history of this name."""
+    """Whether a function may get a history of this name."""
     return is_driver(name) or name in ("elongation", "elongation_rate")
 
 
 def outputs_of(returned: Any, time: np.ndarray | None, wanted: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """What a function returned, of shape () each quantity and of the times' each channel; other names are left out.
+    """The output of a function: quantities of shape () and channels of the shape of the times; other names are left out.
 
     Arguments:
         returned: by the function.
-        time: that it was told, (n,); None where it was told none.
+        time: of its input, (n,); None without times.
         wanted: names that must be there.
 
     Raises:
-        UserError: it is no mapping, a name is missing, or a value has another shape or is no number.
+        UserError: it is not a mapping, a name is missing, or a value has another shape or is not a number.
     """
     found = {}
     for name, value in known_outputs(returned, wanted).items():
@@ -136,10 +137,10 @@ def outputs_of(returned: Any, time: np.ndarray | None, wanted: tuple[str, ...]) 
 
 
 def known_outputs(returned: Any, wanted: tuple[str, ...]) -> dict[str, Any]:
-    """Of what a function returned the quantities and channels, by name.
+    """The quantities and channels in the output of a function, by name.
 
     Raises:
-        UserError: it is no mapping, or a name that is wanted is missing.
+        UserError: it is not a mapping, or a required name is missing.
     """
     if not isinstance(returned, Mapping):
         raise UserError(f"it returned {returned!r:.60}; a mapping of names to numbers or arrays is wanted")

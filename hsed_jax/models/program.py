@@ -21,15 +21,15 @@ REQUEST, EXCITATION = "request.json", "excitation.csv"
 
 @dataclass(frozen=True)
 class Program:
-    """Runs a program for each prediction, in a folder of its own that is gone afterwards.
+    """Runs a program for each prediction, in a separate folder that is deleted afterwards.
 
-    The folder receives `request.json` (parameters and inputs by name, inputs in SI, and the quantities and channels that are
-    wanted) and, where the experiment has times, `excitation.csv` (`time` and what it was driven by, SI).  The program leaves
-    `quantities.json` or `.csv`, and `record.csv` or another format of records with a row for each of those times.
+    The folder receives `request.json` (parameters and inputs by name, inputs in SI, and the required quantities and channels)
+    and, if the experiment has times, `excitation.csv` (`time` and the excitation, SI).  The program leaves `quantities.json`
+    or `.csv`, and `record.csv` or another format of records with a row for each of those times.
 
     Attributes:
         template: the program and its arguments; {folder}, {python} and {NAME} of a parameter or input stand for their values.
-        wanted: the quantities and channels that it is to predict.
+        wanted: the quantities and channels to predict.
         timeout: [s] for one prediction.
     """
 
@@ -38,10 +38,10 @@ class Program:
     timeout: float
 
     def __call__(self, parameters: Mapping[str, float], inputs: Mapping[str, Any]) -> dict[str, Any]:
-        """What the program leaves: numbers of quantities, arrays (n,) of channels.
+        """The output of the program: numbers of quantities, arrays (n,) of channels.
 
         Raises:
-            ExperimentFailed: it failed or took too long, or left nothing that can be read.
+            ExperimentFailed: it failed or took too long, or its output cannot be read.
         """
         numbers = {name: float(value) for name, value in inputs.items() if not np.ndim(value)}
         histories = {name: np.asarray(value) for name, value in inputs.items() if np.ndim(value)}

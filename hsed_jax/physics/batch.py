@@ -1,7 +1,7 @@
 """A batch of experiments: a flat axis, run in tiles.
 
 A tile of 64 keeps every state component in the first-level cache; memory grows with the tile, not with the batch.  A small
-batch is cut into narrow tiles: the last one of them is filled with simulations that nobody asks for.
+batch is cut into narrow tiles: unrequested simulations fill the last tile.
 """
 
 # JAX gives its devices no type, so the functions that make arrays have none.
@@ -21,7 +21,7 @@ _SMALL = 2 * TILE
 
 
 def tile_of(simulations: int) -> int:
-    """How many simulations of a batch of so many run together."""
+    """Number of simulations of a batch that run together."""
     return NARROW if simulations <= _SMALL else TILE
 
 
@@ -32,7 +32,7 @@ def tiled_map[T, R](many: Callable[[T], R], batch: T, *, count: ArrayLike | None
         many: from a tile of the batch (leading axis) to a pytree of arrays with the same leading axis; usually a `jax.vmap`.
         batch: pytree of arrays with a common leading axis of length N.
         count: how many simulations count (may be traced); tiles beyond it are not computed, and results beyond it are zero.
-            So one compiled program costs what the data need, for any padding.
+            The cost of one compiled program therefore depends on the data, and not on the padding.
         tile: simulations that run together.
 
     Returns:

@@ -1,8 +1,8 @@
-"""What a study may name, apart from what computes it: spring laws by name, excitations with their settings.
+"""Declarations without computations: spring laws by name, excitations with their settings.
 
-Nothing here needs JAX, which takes longer to load than a study takes to read: a wrong key is told without it.  An excitation is
-declared here, and computed by the class in the file of `hsed_jax.physics.excitations` with its name.  Studies, laboratories,
-figures and reports ask here.
+Nothing here needs JAX, which takes longer to load than a study takes to read: a wrong key is reported without it.  An
+excitation is declared here, and computed by the class in the file of `hsed_jax.physics.excitations` with its name.  Studies,
+laboratories, figures and reports use these declarations.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,7 +21,7 @@ LAWS: "Parts[AbstractSpringLaw]" = Parts("hsed_jax.physics.laws", "spring law", 
 
 
 class Kind(NamedTuple):
-    """What of an experiment is driven.
+    """The kind of an excitation.
 
     Attributes:
         protocol: of a campaign of such experiments.
@@ -39,7 +39,7 @@ class Kind(NamedTuple):
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of the files that a laboratory is given."""
+        """Names of the files for a laboratory."""
         return tuple(f"{self.file}.{ending}" for ending in ("csv", *(("AT2",) if self.file == "ground_motion" else ())))
 
 
@@ -50,7 +50,7 @@ IMPOSED_ELONGATION = Kind("displacement", "elongation", "imposed_elongation", "d
 
 @dataclass(frozen=True)
 class Setting:
-    """What a study gives.
+    """A setting of a study.
 
     Attributes:
         meaning: a noun.
@@ -59,8 +59,8 @@ class Setting:
             `word`: a key of `words`.
         default: None: it must be given, unless `is_optional`.
         is_positive: whether it must be.
-        is_optional: whether it may be left out, as other settings say; it is then None.
-        words: what a `word` stands for.
+        is_optional: whether it may be left out, depending on other settings; it is then None.
+        words: meaning of a `word`.
     """
 
     meaning: str
@@ -79,18 +79,17 @@ def _all_possible(settings: Mapping[str, Any]) -> tuple[str, str] | None:
 
 @dataclass(frozen=True)
 class Declared:
-    """An excitation, as far as a study says it.
+    """The declaration of an excitation.
 
     Attributes:
         name: its key in a study.
-        kind: what it drives.
-        settings: what a study gives, by the names of its fields.
-        sentence: what is done to the specimen, without a full stop, from the settings as they stand in the study, and how long
-            it lasts [s].
+        kind: of the excitation.
+        settings: of a study, by the names of its fields.
+        sentence: its description without a full stop, from the settings of the study and the duration [s].
         of_file: its fields that are read from a record, the time first: its setting `file`; none of an excitation without one.
-        is_endless: whether only the study says how long to simulate.
-        impossible: from the settings the one that is impossible and why; None where there is none.  Of names of inputs nothing
-            is known here.
+        is_endless: whether the study must give the duration.
+        impossible: from the settings, the impossible one with the reason; None without one. The values of inputs are unknown
+            here.
     """
 
     name: str
@@ -102,7 +101,7 @@ class Declared:
     impossible: Callable[[Mapping[str, Any]], tuple[str, str] | None] = _all_possible
 
     def default(self, name: str) -> Any:
-        """What a setting is where a study does not give it."""
+        """The value of a setting that a study does not give."""
         return self.settings[name].default
 
 
@@ -195,7 +194,7 @@ CYCLIC_ELONGATION = Declared(
     impossible=_amplitudes_or_protocol,
 )
 CYCLES = 2
-"""Full cycles at each amplitude, where a study names neither them nor a protocol."""
+"""Full cycles at each amplitude, if a study gives neither them nor a protocol."""
 
 DECLARED = {known.name: known for known in list(globals().values()) if isinstance(known, Declared)}
 """Excitations by their keys in a study."""

@@ -1,7 +1,7 @@
-"""In which unit a number is shown: the one place that decides, for figures, reports, the terminal and the checks of data.
+"""The unit of a displayed number, for figures, reports, the terminal and the checks of data.
 
-What the campaign declares in a unit of its own, inches or kip, is shown in that, and so is what follows from it: a predicted
-force, the amplitude of a cycle.  What is declared in plain SI, or by nobody, takes the prefix that makes it easy to read.
+If the campaign declares a unit other than plain SI, such as inches or kip, values of this kind are shown in it, also derived
+ones such as a predicted force or the amplitude of a cycle. Other values are shown in SI with a suitable prefix.
 """
 
 import re
@@ -15,9 +15,9 @@ from hsed_jax.physics.pairs import Pair
 
 
 def readable(unit: str, *values: npt.ArrayLike) -> tuple[float, str]:
-    """Divisor and unit in which the largest of `values` is easy to read: (1000.0, "kN") for 2.5e5 N, mm below 1 m.
+    """Divisor and unit with which the largest of `values` is easy to read: (1000.0, "kN") for 2.5e5 N, mm below 1 m.
 
-    Only units that take a prefix in this field change: those that begin with N, J or Pa, and m or rad by itself.
+    Only units that usually have a prefix in this field change: those that begin with N, J or Pa, and m or rad alone.
     """
     largest = max((float(v[np.isfinite(v)].max(initial=0.0)) for v in map(np.abs, values)), default=0.0)
     if unit in ("m", "rad") and 0 < largest < 1:
@@ -29,7 +29,7 @@ def readable(unit: str, *values: npt.ArrayLike) -> tuple[float, str]:
 
 
 def shown(pair: Pair, name: str, *values: npt.ArrayLike) -> tuple[float, str]:
-    """Divisor and unit in which a channel or quantity is shown: as it is declared, else as it is easy to read.
+    """Divisor and unit of a displayed channel or quantity: the declared unit, otherwise SI with a suitable prefix.
 
     Arguments:
         pair: that the specimen is measured in, with the units that its campaign declares.
@@ -43,7 +43,7 @@ def shown(pair: Pair, name: str, *values: npt.ArrayLike) -> tuple[float, str]:
 
 
 def shown_in(pair: Pair, si: str, *values: npt.ArrayLike) -> tuple[float, str]:
-    """Divisor and unit in which something that a specimen goes through is shown: its elongation, force, rate or work.
+    """Divisor and unit of a displayed elongation, force, rate or work of a specimen.
 
     Arguments:
         pair: that the specimen is measured in, with the units that its campaign declares.
@@ -76,7 +76,7 @@ def amount(pair: Pair, name: str, value: float, digits: int = 3) -> str:
 
 
 def _declared(pair: Pair, name: str) -> tuple[float, str] | None:
-    """Factor to SI and text of a unit that the campaign declares, where that is none of SI without a prefix."""
+    """Factor to SI and text of a unit that the campaign declares, unless it is SI without a prefix."""
     found = pair.declared.get(name)
     if found is None and output(name).gains:
         # A quantity of a specimen follows from its elongation and force.

@@ -1,4 +1,4 @@
-"""The springs of a structure that have a memory, as the simulator gets them, and the parts of a study that belong to each."""
+"""The specimens of a structure for the simulator, and the parts of a study that belong to each."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -14,7 +14,7 @@ class Element(NamedTuple):
     Attributes:
         name: empty where it is the only one.
         law: of its spring.
-        is_apart: it has a model of its own, and nothing of what the others share.
+        is_apart: it has its own model, and shares nothing with the others.
     """
 
     name: str = ""
@@ -22,7 +22,7 @@ class Element(NamedTuple):
     is_apart: bool = False
 
     def has(self, owner: str) -> bool:
-        """Whether effects of a place are effects of it: its own, or what all share."""
+        """Whether effects of an owner act in it: its own, or the shared ones."""
         return owner == self.name or (not owner and not self.is_apart)
 
     def parameters[T](self, owners: Mapping[str, Mapping[str, T]]) -> dict[str, T]:

@@ -1,7 +1,7 @@
 """Absent effects are not computed: a batch of simulations takes each branch together.
 
-One compiled program may hold every effect of the catalogue.  Whether an effect acts is then an operand, the same for all
-simulations of the batch.  Under `jax.vmap`, a choice per simulation computes both sides, and a choice for the whole batch is a
+One compiled program may hold every effect of the catalogue.  An operand, the same for all simulations of the batch, states
+whether an effect acts.  Under `jax.vmap`, a choice per simulation computes both sides, and a choice for the whole batch is a
 branch.
 """
 
@@ -51,7 +51,7 @@ class Acts(NamedTuple):
 
     Attributes:
         acts: whether it acts in any of them.
-        is_shaped: whether it has another than its simplest shape in any of them.
+        is_shaped: whether its shape differs from the simplest one in any of them.
     """
 
     acts: Bool[Array, ""]
@@ -82,7 +82,7 @@ def gathered(
         contributors: of which some may be absent.
         acting: whether each acts; None where all do.
         merged: makes one contribution of several.
-        neutral: what stands for a name to which nobody contributes.
+        neutral: value of a name without a contribution.
     """
     if acting is None:
         return merged([one.contribute() for one in contributors])

@@ -33,7 +33,7 @@ class Progress(NamedTuple):
 
     Attributes:
         state: at the end of the last step.
-        kept: what the quantities keep (`hsed_jax.physics.outputs.Kept`), by name.
+        kept: the numbers of the quantities (`hsed_jax.physics.outputs.Kept`), by name.
         channels: at the end of the last step.
     """
 
@@ -48,8 +48,8 @@ class RungeKutta4(diffrax.AbstractSolver[Any]):
 
     After each step it looks for a reversal inside it, a zero of Δu̇, where a hysteretic spring has its peaks, and updates the
     peaks there instead of on the grid.  With θ ∈ (0, 1) the zero of the linear Δu̇, the peak elongation is the cubic Hermite
-    interpolant of Δu at θ.  The spring then does its own part: a law that integrates its force corrects the kink
-    (`hsed_jax.physics.laws.reversal`), and a law of paths commits its states there.  This allows steps four times as long.
+    interpolant of Δu at θ.  The spring law then acts: a law that integrates its force corrects the kink
+    (`hsed_jax.physics.laws.reversal`), and a law of paths commits its states there.  This allows four times longer steps.
     """
 
     term_structure: ClassVar = diffrax.ODETerm
@@ -60,7 +60,7 @@ class RungeKutta4(diffrax.AbstractSolver[Any]):
     channel_names: tuple[str, ...] = eqx.field(static=True)
 
     def order(self, terms: Any) -> int:
-        """Four, in the length of the step."""
+        """The order of the method: four."""
         return 4
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Progress, args: Any) -> Any:
@@ -141,7 +141,7 @@ class RungeKutta4(diffrax.AbstractSolver[Any]):
 def _kept(state: State) -> State:
     """The state of a stage, written to memory.  Without the barrier XLA computes it again for every use.
 
-    Its displacement is cheaper to compute again.
+    Recomputing its displacement is cheaper than storing it.
     """
     velocity, memory = jax.lax.optimization_barrier((state.velocity, state.memory))
     return State(state.displacement, velocity, memory)
@@ -150,7 +150,8 @@ def _kept(state: State) -> State:
 def _turned(
     system: AbstractSystem, before: tuple[State, Any], after: tuple[State, Any], flow: State, h: Scalar
 ) -> tuple[State, tuple[tuple[Scalar, Scalar], ...]]:
-    """The state after a step in which specimens may turn, and force and elongation of each at its reversal (or else the end).
+    """The state after a step with possible reversals, and force and elongation of each specimen at its reversal (otherwise at
+    the end).
 
     `flow` are the rates at the start of the step.
     """
@@ -167,7 +168,7 @@ def _turned(
 
 
 def _turn(first: tuple[Scalar, Scalar], last: tuple[Scalar, Scalar], h: Scalar) -> Turn:
-    """Whether and where a specimen turns, from its elongation [m] and rate [m/s] at both ends of a step."""
+    """The reversal of a specimen within a step, if any, from its elongation [m] and rate [m/s] at both ends."""
     (du0, v0), (du1, v1) = first, last
     turns = v0 * v1 < 0
     theta = jax.lax.optimization_barrier(jnp.where(turns, v0 / jnp.where(turns, v0 - v1, 1.0), 1.0))
@@ -200,14 +201,14 @@ def integrate(
     """Integrate one experiment.
 
     Arguments:
-        system: what is integrated.
+        system: the integrated one.
         forcing: the excitation on the half-step grid.
         step_length: [s], one number or one per step, shape (steps,).
         steps: number of steps.
         channels: names of the histories to keep.
-        quantities: names of those to keep beside the ones of Eq. 18.
-        every: keep the histories at every so many steps (and at t = 0); divides `steps`.
-        adjoint: how derivatives pass through; by default forward mode, which suits few parameters.
+        quantities: names of quantities to compute besides those of Eq. 18.
+        every: number of steps between kept samples of the histories (t = 0 is kept, too); divides `steps`.
+        adjoint: the kind of derivatives; by default forward mode, which suits few parameters.
         stop: steps to make, at most `steps`; samples of histories after them are the last one.
 
     Returns:
@@ -249,8 +250,8 @@ def integrate(
 class _StepsOfOne(diffrax.ConstantStepSize):
     """Steps of one.
 
-    A first step that is given to diffrax itself is compared with the end of the integration by a call back into Python where
-    that end is an operand, and such a program cannot be kept.
+    diffrax compares a given first step with the end of the integration. If this end is an operand, the comparison is a
+    callback into Python, and such a program cannot be stored.
     """
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Any, dt0: Any, args: Any, func: Any, error_order: Any) -> Any:
@@ -270,12 +271,12 @@ def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
 
 @final
 class _Values(eqx.Module):
-    """The quantities at the end.  Compared by value, so that what is equal is compiled once."""
+    """The quantities at the end.  Compared by value, so that equal settings are compiled once."""
 
     places: tuple[tuple[str, int], ...] = eqx.field(static=True)
 
     def __call__(self, number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
-        # Not the whole state: without masses it holds empty tuples, which diffrax cannot save.
+        # Not the whole state: without masses it contains empty tuples, which diffrax cannot save.
         del number, args
         kept, memory = progress.kept, progress.state.memory
         return {name: quantity(name).kept.value(kept[name], memory[place]) for name, place in self.places}

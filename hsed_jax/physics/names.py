@@ -1,4 +1,4 @@
-"""Names of outputs and parameters: what belongs to one specimen, effect or structure has that name in front, with a dot.
+"""Names of outputs and parameters: the name of the owner (specimen, effect or structure) is in front, with a dot.
 
 `storey2.force` is the force of the specimen `storey2`, `storey2.slip.delta` a parameter of its effect `slip`, and
 `structure.mass_1` a number of the structure.
@@ -9,23 +9,23 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 SPECIMEN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-"""What the name of a specimen looks like."""
+"""The pattern of the name of a specimen."""
 OWNER = "structure"
-"""What stands before the name of a parameter of the structure, as the name of an effect before one of an effect."""
+"""The prefix of a parameter of the structure, like the name of an effect for a parameter of an effect."""
 
 
 def named(owner: str, name: str) -> str:
-    """The name of an output of one specimen; that of the only one stands alone."""
+    """The name of an output of one specimen; that of a single specimen has no prefix."""
     return f"{owner}.{name}" if owner else name
 
 
 def owner_of(name: str) -> str:
-    """The specimen that an output is of, or what a parameter belongs to: what stands before the last dot; empty without one."""
+    """The specimen of an output, or the owner of a parameter: the part before the last dot; empty without one."""
     return name.rpartition(".")[0]
 
 
 def own_name(name: str) -> str:
-    """A name without that of what it belongs to."""
+    """A name without its owner."""
     return name.rpartition(".")[2]
 
 
@@ -35,7 +35,7 @@ def of_each(owners: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
 
 
 def by_owner[T](values: Mapping[str, T]) -> dict[str, dict[str, T]]:
-    """Values by what they belong to, and then by their own names."""
+    """Values by owner, and then by their own names."""
     found: dict[str, dict[str, T]] = defaultdict(dict)
     for name, value in values.items():
         found[owner_of(name)][own_name(name)] = value
@@ -43,11 +43,11 @@ def by_owner[T](values: Mapping[str, T]) -> dict[str, dict[str, T]]:
 
 
 def spring_name(index: int) -> str:
-    """What a linear spring is called where it takes part as a specimen does, from its index."""
+    """The name of a linear spring that acts as a specimen, from its index."""
     return f"spring_{index + 1}"
 
 
 def number_of_spring(owner: str) -> int | None:
-    """Index of the linear spring of the structure that has this name; None where it is none."""
+    """Index of the linear spring of the structure that has this name; None without one."""
     match = re.fullmatch(r"spring_([1-9]\d*)", owner)
     return None if match is None else int(match[1]) - 1

@@ -1,9 +1,9 @@
 r"""Measured and predicted outputs, channels and quantities: the only list of either.
 
 A further quantity is one entry of `QUANTITIES`: symbol, unit and meaning, its formula from a record, and how the integration
-keeps it.  It may then stand in a campaign and in a study, and has its place in reports.
+keeps it.  Campaigns, studies and reports can then use it.
 
-If a structure has several specimens, the name of a specimen stands before its outputs: `storey2.force`, `storey2.peak_force`.
+If a structure has several specimens, the name of a specimen precedes its outputs: `storey2.force`, `storey2.peak_force`.
 
 Peaks in a simulation are those of the continuous response.  Between the ends of a step of length h, the work is the cubic
 (Hermite) of the work e and the power $r\,\Delta\dot u$ at both ends.
@@ -35,8 +35,8 @@ class Output:
         symbol: in LaTeX.
         unit: SI.
         meaning: in words.
-        gains: slots of the test rig whose product it is measured with.
-        is_strength: whether more of it is a stronger specimen, and not a larger motion.
+        gains: slots of the test rig whose product multiplies it in the measurement.
+        is_strength: whether a larger value means a stronger specimen instead of a larger motion.
         of_specimen: whether every specimen of a structure has one.
     """
 
@@ -49,7 +49,7 @@ class Output:
 
 
 class Kept(NamedTuple):
-    """How a quantity is kept during an integration.
+    """The computation of a quantity during an integration.
 
     Attributes:
         start: numbers that travel with the integration, at its start.
@@ -67,11 +67,11 @@ class Quantity(Output):
     """One number per experiment.
 
     Attributes:
-        channels: of a record that tell it, from the number of masses; none where it cannot be told.
-        measured: from the time (n,) [s] and those channels, each (n,) [SI]; NaN where the record does not tell it.
-        kept: how it is kept during an integration.
-        is_signed: whether it may be negative, or zero; no error is relative to that.
-        until: the experiment must last so long [s].
+        channels: of a record that determine it, from the number of masses; empty if it cannot be determined.
+        measured: from the time (n,) [s] and those channels, each (n,) [SI]; NaN if the record does not determine it.
+        kept: its computation during an integration.
+        is_signed: whether it may be negative, or zero; its error cannot be relative.
+        until: least duration of the experiment [s].
         limit: its key in `design.limits`, where it has one.
     """
 
@@ -88,7 +88,7 @@ def _largest(of: Callable[["Step"], Scalar]) -> Kept:
     """The largest magnitude."""
 
     def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
-        import jax.numpy as jnp  # here: who reads a campaign needs no JAX
+        import jax.numpy as jnp  # imported here: reading a campaign needs no JAX
 
         # `maximum` would split the derivative at a tie, which costs time.  A NaN passes through here, too.
         largest, value = kept[0], jnp.abs(of(step))
@@ -98,7 +98,7 @@ def _largest(of: Callable[["Step"], Scalar]) -> Kept:
 
 
 def _last(of: Callable[["Step"], Scalar]) -> Kept:
-    """What it is at the end of the last step."""
+    """Its value at the end of the last step."""
 
     def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
         return (of(step),)
@@ -242,7 +242,7 @@ PER_MASS: dict[str, Output] = {
 }
 APPLIED_FORCE = Output("p", "N", "force applied to the structure", of_specimen=False)
 DRIVERS = ("time", "ground_acceleration")
-"""What no structure responds with; forces applied to its masses are neither responses (`is_driver`)."""
+"""Channels that are not a response of a structure; forces on its masses are not responses, either (`is_driver`)."""
 ALLOWED = ", ".join([*QUANTITIES, "energy_at_TIME (a whole number of s or ms: energy_at_5s, energy_at_500ms)"])
 """The names that a quantity may have, for messages."""
 
@@ -264,7 +264,7 @@ def is_quantity(name: str) -> bool:
 
 @functools.cache
 def quantity(name: str) -> Quantity:
-    """What there is to know of a quantity.
+    """The declaration of a quantity.
 
     Raises:
         KeyError: there is no such quantity.
@@ -286,7 +286,7 @@ def quantity(name: str) -> Quantity:
 
 
 def further(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The quantities beyond those that every response has."""
+    """The quantities that only some responses have."""
     return tuple(name for name in names if own_name(name) not in EQ_18)
 
 
@@ -305,13 +305,13 @@ def _quantity(own: str) -> Quantity | None:
 
 
 def driven_mass(name: str) -> int | None:
-    """The mass (from 1) that the force of this channel is applied to; None where it is no such channel."""
+    """The mass (from 1) that the force of this channel is applied to; None if it is not such a channel."""
     match = re.fullmatch(r"applied_force_([1-9]\d*)", name)
     return None if match is None else int(match[1])
 
 
 def is_driver(name: str) -> bool:
-    """Whether a channel is what drives a structure, or the time, and no response."""
+    """Whether a channel is the excitation of a structure, or the time, instead of a response."""
     return name in DRIVERS or driven_mass(name) is not None
 
 

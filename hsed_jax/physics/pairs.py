@@ -1,9 +1,9 @@
 """Conjugate pairs: the imposed and the resisting quantity of a specimen, as the laboratory measures them.
 
-A spring law relates two quantities whose product is a work.  They are called elongation [m] and force [N]; the same law, with the
-same numbers, relates the rotation [rad] of a joint to its moment [N m], or the strain of a coupon to its stress [Pa].  So nothing
-in the numerics knows of pairs: units, symbols and words that were written for elongation and force (`hsed_jax.physics.outputs`,
-the parameters of laws and effects) are translated here, where they are shown.
+A spring law relates two quantities whose product is a work.  They are called elongation [m] and force [N]; the same law, with
+the same numbers, relates the rotation [rad] of a joint to its moment [N m], or the strain of a coupon to its stress [Pa]. The
+numerics are therefore independent of pairs: units, symbols and words that are written for elongation and force
+(`hsed_jax.physics.outputs`, the parameters of laws and effects) are translated here for display.
 """
 
 import dataclasses
@@ -16,15 +16,15 @@ from hsed_jax.physics.outputs import Output, output
 
 @dataclass(frozen=True)
 class Pair:
-    """What elongation and force are called, in which SI units, and how they are written.
+    """Names, SI units and symbols of elongation and force.
 
     Attributes:
         elongation, force: in words.
         elongation_unit, force_unit: SI.
         energy_unit: of the product; a strain and a stress give a work per volume, a shear angle and a shear force one per length.
         elongation_symbol, rate_symbol, force_symbol: in LaTeX.
-        declared: by channel and quantity, factor to SI and text of the unit that a campaign declares, in which it is shown
-            (`hsed_jax.physics.display`); no part of what the pair is.
+        declared: by channel and quantity, factor to SI and text of the unit that a campaign declares, for display
+            (`hsed_jax.physics.display`); not a part of the identity of the pair.
     """
 
     elongation: str
@@ -47,7 +47,7 @@ class Pair:
         """An SI unit written in N, m and J of the specimen, in those of the pair: N/m is N*m/rad of a rotation, Pa of a strain.
 
         Arguments:
-            si: a product over a product at most, such as ``N*s/m`` or ``N^(1-n)/m``; what is not N, m or J stays.
+            si: a product over a product at most, such as ``N*s/m`` or ``N^(1-n)/m``; other units stay.
         """
         own = {"N": self.force_unit, "m": self.elongation_unit, "J": self.energy_unit}
         above: list[str] = []
@@ -62,7 +62,7 @@ class Pair:
         return ("*".join(above) or "1") + (f"/({over})" if len(below) > 1 else f"/{over}" if over else "")
 
     def words(self, text: str) -> str:
-        """A text about elongations and forces, said of the pair."""
+        """A text about elongations and forces, in the words of the pair."""
 
         def translated(match: re.Match[str]) -> str:
             word = self.elongation if match[1].lower() == "elongation" else self.force
@@ -97,7 +97,7 @@ class Pair:
 
 
 ELONGATION_AND_FORCE = Pair("elongation", "force", "m", "N", "J", r"\Delta u", r"\Delta\dot u", "r")
-"""The pair of a specimen within a structure of masses, and where nobody says otherwise."""
+"""The pair of a specimen within a structure of masses, and the default."""
 PAIRS = (
     ELONGATION_AND_FORCE,
     Pair("rotation", "moment", "rad", "N*m", "J", r"\theta", r"\dot\theta", "M"),

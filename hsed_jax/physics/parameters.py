@@ -28,15 +28,15 @@ class Parameter:
     """Metadata of one parameter.
 
     Attributes:
-        name: as it stands in studies and results.
+        name: as in studies and results.
         symbol: LaTeX, for axis labels.
         unit: SI unit, or "1".
         meaning: one line.
         neutral: the value at which the parameter changes nothing (effects), or its default (laws); None: must be given.
-        lower, upper: bounds of what is physically possible.
+        lower, upper: physical bounds.
         prior: default prior as in a study, e.g. {"half_normal": 1.0}; None: must be given.
         physical: its other, dimensional form, if it has one.
-        shapes: it belongs to forms of an effect (`hsed_jax.physics.effects.forms`); in those that do not name it, it is neutral.
+        shapes: it belongs to forms of an effect (`hsed_jax.physics.effects.forms`); it is neutral in the other forms.
     """
 
     name: str
@@ -69,7 +69,7 @@ def parameters_of(module: Any) -> dict[str, Parameter]:
 
 
 def shape_parameter(symbol: str, meaning: str, **details: Any) -> Any:
-    """A dimensionless field that tells forms of an effect from one another."""
+    """A dimensionless field that distinguishes forms of an effect."""
     return parameter(symbol, "1", meaning, shapes=True, **details)
 
 

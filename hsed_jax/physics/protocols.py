@@ -1,12 +1,12 @@
 r"""Published loading protocols of component tests, as tables of steps.
 
-An amplitude of a table is relative to a reference, which every protocol defines on its own (`Protocol.relative_to`).  For CUREE,
-ISO 16670, ATC-24 and FEMA 461 it is a deformation: amplitudes are fractions or multiples of it.  For ACI 374, AISC 341 and SAC it
-is a length: their tables are drift angles [rad], and drift angle times height is the elongation.  Where the elongation is a
-rotation, that length is 1.
+An amplitude of a table is relative to a reference, which every protocol defines on its own (`Protocol.relative_to`).  For
+CUREE, ISO 16670, ATC-24 and FEMA 461 it is a deformation: amplitudes are fractions or multiples of it.  For ACI 374, AISC 341
+and SAC it is a length: their tables are drift angles [rad], and drift angle times height is the elongation.  For a rotation,
+this length is 1.
 
-Most protocols go on until the specimen fails, by a constant increment of the amplitude (`Protocol.increment`).  The table here
-ends where the published one does; `steps` cuts it short or goes on.
+Most protocols continue until the specimen fails, with a constant increment of the amplitude (`Protocol.increment`).  The
+table here ends like the published one; `steps` shortens or continues it.
 
 Nothing here needs JAX: `hsed_jax.physics.excitations.imposed` imposes the sequence, `protocol_history` is the command alone.
 """
@@ -49,15 +49,15 @@ class Level(NamedTuple):
 
 @dataclass(frozen=True)
 class Protocol:
-    """A loading protocol as it was published.
+    """A published loading protocol.
 
     Attributes:
-        title: what it is called.
-        relative_to: what the reference is.
+        title: of the protocol.
+        relative_to: meaning of the reference.
         source: the document.
         table: the steps in order.
-        increment: by how much the amplitude grows at every further step, relative to the reference; None: it ends with the table.
-        note: what the document leaves open and the table decides; empty where it decides everything.
+        increment: increment of the amplitude at every further step, relative to the reference; None: it ends with the table.
+        note: choices of the table that the document leaves open; empty without them.
     """
 
     title: str
@@ -71,7 +71,7 @@ class Protocol:
         """The first steps, as many as `count`; None: those of the table.  Further steps repeat the last one at larger amplitudes.
 
         Raises:
-            UserError: there are not so many.
+            UserError: the protocol has fewer steps.
         """
         count = len(self.table) if count is None else count
         beyond = range(1, count - len(self.table) + 1)
@@ -88,7 +88,7 @@ class Protocol:
         """Amplitudes in order, each with its quarters of a cycle: primary and trailing cycles apart.
 
         Raises:
-            UserError: there are not so many steps.
+            UserError: the protocol has fewer steps.
         """
         levels: list[Level] = []
         for step in self.steps(count):
@@ -98,7 +98,7 @@ class Protocol:
         return tuple(levels)
 
     def extent(self, count: int | None = None) -> str:
-        """How many cycles there are, and up to which amplitude."""
+        """The number of cycles, and the largest amplitude."""
         levels = self.levels(count)
         quarters = sum(level.quarters for level in levels)
         cycles = "one push" if quarters == 1 else f"{quarters // 4} cycles"
@@ -190,7 +190,7 @@ def protocol(name: str) -> Protocol:
     """A protocol by its name.
 
     Raises:
-        UserError: there is none of this name.
+        UserError: there is no protocol of this name.
     """
     if name not in PROTOCOLS:
         raise UserError(f"there is no loading protocol {name!r}; there are {', '.join(PROTOCOLS)}")
@@ -204,7 +204,7 @@ def protocol_history(
 
     Arguments:
         name: of the protocol, such as `curee` (`hsed protocols` lists them).
-        reference: what its amplitudes are relative to; its unit is that of the elongation.
+        reference: of its amplitudes; its unit is that of the elongation.
         rate: peak rate, in that unit per second; a cycle of amplitude a takes 2πa/rate.
         points: samples a full cycle, a multiple of 4, so that peaks are samples.
         steps: how many steps of the protocol; by default those of its table.
@@ -213,7 +213,7 @@ def protocol_history(
         Time [s] and elongation, (samples,) each; the first sample is zero.
 
     Raises:
-        UserError: there is no such protocol, it has not so many steps, or a number is not as said.
+        UserError: there is no such protocol, it has fewer steps, or a number is not allowed.
 
     Example:
         >>> time, elongation = hx.protocol_history("curee", reference=0.04, rate=0.005)

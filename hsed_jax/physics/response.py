@@ -45,7 +45,7 @@ class Response(NamedTuple):
     def __repr__(self) -> str:
         leaves = jax.tree.leaves(tuple(self))
         if any(isinstance(leaf, Tracer) or not isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves):
-            return f"Response{tuple(self)!r}"  # inside a transformation, or of something else than numbers
+            return f"Response{tuple(self)!r}"  # inside a transformation, or not of numbers
         return str(self._table())
 
     def _repr_html_(self) -> str:

@@ -3,9 +3,9 @@ r"""The measured response, from the true one: gains, zero shifts and delays of t
 $$F_{meas}(t) = g_F\,r(t-\tau_F) + F_0 + F_1 e^{-\lambda t} + \dot F_0\tfrac1s\ln[1 + s\max(t - t_0, 0)],\qquad
   \Delta u_{meas}(t) = g_u\,\Delta u(t-\tau_u)$$
 
-In a component test, the imposed elongation is the measured one. $\Delta u_{meas}$ is known, and the specimen feels $\Delta
-u_{meas}(t-\tau_F+\tau_u)/g_u$, on the clock of the force.  Gains act on the quantities, too.  Shifts of time and of zero act on
-histories alone, and none of them on energy.
+In a component test, the imposed elongation is the measured one. $\Delta u_{meas}$ is known, and the elongation of the
+specimen is $\Delta u_{meas}(t-\tau_F+\tau_u)/g_u$, on the clock of the force.  Gains act on the quantities, too.  Shifts of
+time and of zero act only on histories, and not on energy.
 """
 
 # JAX gives its devices no type, so the functions that make arrays have none.
@@ -35,11 +35,11 @@ def measured(
     *,
     is_imposed: bool,
 ) -> Response:
-    """The response as it is measured.
+    """The measured response.
 
     Arguments:
-        response: as it is.
-        slots: what the effects contribute, by slot, and for the sensors of one of several specimens by its name.
+        response: the true one.
+        slots: the contributions of the effects, by slot, and for the sensors of one of several specimens by its name.
         step_length: [s], one number or one per step.
         every: histories are kept at every so many steps.
         is_imposed: the elongation is imposed (a component test), as `felt` says.
@@ -74,7 +74,7 @@ def measured(
 
 
 def _slowing(time: Float[Array, " samples"], slowing: Scalar) -> Float[Array, " samples"]:
-    """ln(1 + s t)/s; the time itself where s is none."""
+    """ln(1 + s t)/s; the time itself for s = 0."""
     if is_zero(slowing):
         return time
     s = jnp.where(slowing == 0, 1.0, slowing)
@@ -82,7 +82,7 @@ def _slowing(time: Float[Array, " samples"], slowing: Scalar) -> Float[Array, " 
 
 
 def felt(forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Array, " steps"]) -> Tabulated:
-    """The elongation that the specimen feels in a component test, from the one that was measured and imposed."""
+    """The elongation of the specimen in a component test, from the measured (imposed) one."""
     gain, delay = slots("elongation_gain"), slots("force_delay") - slots("elongation_delay")
     samples = forcing.samples
     if not is_zero(delay):

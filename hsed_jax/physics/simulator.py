@@ -2,7 +2,7 @@
 
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false
-# A compiled method is an object, and a field of this model says more than the abstract one.
+# A compiled method is an object, and a field of this model has a narrower type than the abstract one.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
 
 from abc import abstractmethod
@@ -49,9 +49,9 @@ class Recorded(NamedTuple):
     Attributes:
         forcing: on the half-step grid.
         step_length: [s], zero where the record has ended.
-        ends: after how many steps each sample of the record is, where `every` is 1 and histories are kept at these only.
-        stop: steps after which nothing is asked for, the same for all that run together: later samples are the last one; None for
-            the whole grid.
+        ends: number of steps before each sample of the record, where `every` is 1 and histories are kept at these only.
+        stop: number of steps after which no output is needed, the same for all simulations that run together: later samples
+            repeat the last one; None for the whole grid.
     """
 
     forcing: AbstractForcing
@@ -61,14 +61,14 @@ class Recorded(NamedTuple):
 
 
 class Conditions(NamedTuple):
-    """What distinguishes one experiment from another.
+    """The conditions that distinguish experiments.
 
     Attributes:
         inputs: by name, SI.
-        recorded: its record, where it has one.
-        acting: whether each effect of the model acts, and in more than its simplest shape, the same for all experiments that run
-            together: what does not act is not computed (`hsed_jax.physics.gates`).  None: all act, and so do those that are not
-            named.
+        recorded: its record, if it has one.
+        acting: whether each effect of the model acts, and in more than its simplest shape, the same for all experiments that
+            run together; an absent effect is not computed (`hsed_jax.physics.gates`).  None: all act; effects without an
+            entry act, too.
     """
 
     inputs: Mapping[str, Scalar]
@@ -77,11 +77,11 @@ class Conditions(NamedTuple):
 
     @property
     def stop(self) -> Any:
-        """Steps after which nothing is asked for; None for the whole grid."""
+        """Number of steps after which no output is needed; None for the whole grid."""
         return None if self.recorded is None else self.recorded.stop
 
     def until(self, stop: Any) -> "Conditions":
-        """The same, with nothing asked for after so many steps."""
+        """The same, without outputs after this number of steps."""
         return self if self.recorded is None else self._replace(recorded=self.recorded._replace(stop=stop))
 
 
@@ -110,8 +110,8 @@ class AbstractModel(eqx.Module):
     Calibration, design, comparison and report use only this interface; `Simulator` is the model of a spring law.
 
     Attributes:
-        excitation: from inputs to what drives it; None where every experiment brings its record, or has none.
-        timeline: the grid of an experiment without a record; None where there is no excitation.
+        excitation: from inputs to its excitation; None if every experiment has its record, or no excitation exists.
+        timeline: the grid of an experiment without a record; None without an excitation.
     """
 
     excitation: eqx.AbstractVar[Callable[[Mapping[str, Scalar]], AbstractExcitation] | None]
@@ -120,7 +120,7 @@ class AbstractModel(eqx.Module):
     @property
     @abstractmethod
     def owners(self) -> tuple[str, ...]:
-        """The names of the specimens that it predicts; that of the only one is empty."""
+        """The names of the predicted specimens; that of a single specimen is empty."""
 
     @abstractmethod
     def gives(self, name: str) -> bool:
@@ -129,7 +129,7 @@ class AbstractModel(eqx.Module):
     @property
     @abstractmethod
     def references(self) -> dict[str, str]:
-        """Where its parts come from, by their names."""
+        """The owners of its parts, by their names."""
 
     @abstractmethod
     def respond(
@@ -167,7 +167,7 @@ class Simulator(AbstractModel):
 
     Attributes:
         structure: the numerical substructure; None for a component test.
-        excitation: from inputs to what drives it; None where every experiment brings its record.
+        excitation: from inputs to its excitation; None where every experiment brings its record.
         timeline: the grid of the integration.
         effects: of spring, structure and test rig.
         scales: characteristic values for the effects; leaves, so that one compiled program can serve any.
@@ -201,7 +201,7 @@ class Simulator(AbstractModel):
         return laws | {name: effect.reference for name, effect in self.effects.items()}
 
     def system(self, parameters: Mapping[str, Scalar]) -> AbstractSystem:
-        """What is integrated; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
+        """The integrated system; parameters of effects are named `effect.parameter`, in dimensionless or physical form."""
         given = self._given(parameters)
         return self._system(given, self._setup(given))
 
@@ -321,7 +321,7 @@ def _stiffness_of_specimens(structure: Any) -> Any:
 
 
 class _Given(NamedTuple):
-    """Parameters by what they belong to, the effects by name, and whether each acts."""
+    """Parameters by owner, the effects by name, and whether each acts."""
 
     owners: dict[str, dict[str, Scalar]]
     effects: dict[str, AbstractEffect]
@@ -330,7 +330,7 @@ class _Given(NamedTuple):
     def of_spring(
         self, has: Callable[[str], bool], scales: Scales
     ) -> tuple[tuple[AbstractSpringEffect, ...], Scales, tuple[Bool[Array, ""], ...] | None]:
-        """The effects in a spring, by whether it has those of a place, and what else a specimen is made of."""
+        """The effects in a spring, by owner, and the other parts of a specimen."""
         own = {
             name: effect
             for name, effect in self.effects.items()
@@ -344,7 +344,7 @@ class _Given(NamedTuple):
 
     @property
     def rig_acts(self) -> Bool[Array, ""] | None:
-        """Whether any effect outside the springs acts; None where all do."""
+        """Whether any effect outside the springs acts; None if all act."""
         if self.acting is None:
             return None
         outside = [self._acts(name) for name, e in self.effects.items() if isinstance(e, AbstractSetupEffect)]

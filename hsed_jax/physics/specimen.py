@@ -2,9 +2,10 @@ r"""The specimen: a spring law with any number of effects around it.
 
 $$r = f(\Delta u, \text{states}) + \sum \text{force},\qquad \dot e = r\,\Delta\dot u$$
 
-with f the force of the law's element, whose slots effects write to, and `force` what they add beside it.  Inside a slack s there
-is no force, and the element beyond it feels the elongation less the slack, $\Delta u - \mathrm{clip}(\Delta u, -s, s)$.  An
-integration may cross a slack in a step: for it, force and flow of the element count with the share of the step that is outside.
+with f the force of the element of the law, to whose slots effects write, and `force` their contribution beside it.  Inside a
+slack s there is no force; beyond it, the elongation of the element is the elongation minus the slack,
+$\Delta u - \mathrm{clip}(\Delta u, -s, s)$.  An integration may cross a slack in a step: force and flow of the element are
+then multiplied by the share of the step outside the slack.
 """
 
 # JAX gives its devices no type, so the functions that make arrays have none.
@@ -34,7 +35,7 @@ from hsed_jax.physics.scales import Scales, is_zero
 from hsed_jax.physics.states import SharedState
 
 ALWAYS = ("force", "slack")
-"""Slots that every specimen has, whatever its law."""
+"""Slots of every specimen, for any law."""
 
 
 @final
@@ -58,7 +59,7 @@ class Specimen(eqx.Module):
 
     @property
     def is_gated(self) -> bool:
-        """Whether it may be of any of several sets of effects."""
+        """Whether it may have any of several sets of effects."""
         return self.acting is not None
 
     def start(self) -> Memory:
@@ -92,7 +93,7 @@ class Specimen(eqx.Module):
         return force, rates
 
     def settle(self, elongation: Scalar, rate: Scalar, memory: Memory, turned: Bool[Array, ""]) -> Memory:
-        """The states after a step that came to this elongation [m] at this rate [m/s], or turned there."""
+        """The states after a step that ends at this elongation [m] with this rate [m/s], or turns there."""
         point = self._point(elongation, rate, memory)
         slots = self._slots(point)
         committed = self.law.settle(_beyond(elongation, slots), memory, slots)
@@ -103,7 +104,7 @@ class Specimen(eqx.Module):
         return {**memory, **committed, **kept, **gathered(settled, self.acting, _joined, memory.__getitem__)}
 
     def turned(self, turn: Turn, before: Memory, flow: Memory, after: Memory) -> tuple[Memory, Scalar]:
-        """The states after a step that may hold a reversal, and the force at the reversal (or else the end) [N].
+        """The states after a step with a possible reversal, and the force at the reversal (otherwise at the end) [N].
 
         Arguments:
             turn: the step.
@@ -138,7 +139,7 @@ class Specimen(eqx.Module):
         return combine([gathered(parts, self.acting, merged, neutral)])
 
     def _force(self, point: SpringPoint, slots: Slots, step: Scalar = 0.0) -> tuple[Scalar, SpringPoint]:
-        """Restoring force, and the point with the force that the element has now."""
+        """Restoring force, and the point with the present force of the element."""
         element = self.law.force(_beyond(point.elongation, slots), point.memory, slots)
         if element is not point.hysteretic:
             # A law of paths has its force only now; forces beside it may depend on it.
@@ -152,7 +153,7 @@ def _joined(parts: Iterable[Mapping[str, Scalar]]) -> dict[str, Scalar]:
 
 
 def unserved(effect: type[AbstractEffect], law: type[AbstractSpringLaw], form: str | None = None) -> str:
-    """Why a law cannot have an effect in a form, by default the default one, in words; empty where it can."""
+    """The reason why a law cannot have an effect in a form (by default the default one); empty if it can."""
     return _missing(slots_of(effect, form), law) if issubclass(effect, AbstractSpringEffect) else ""
 
 
@@ -167,13 +168,13 @@ def _missing(written: Iterable[str], law: type[AbstractSpringLaw]) -> str:
 
 
 def _beyond(elongation: Scalar, slots: Slots) -> Scalar:
-    """The elongation that the element feels behind the slack."""
+    """The elongation of the element behind the slack."""
     slack = slots("slack")
     return elongation if is_zero(slack) else elongation - jnp.clip(elongation, -slack, slack)
 
 
 def _outside(point: SpringPoint, slots: Slots, value: Scalar, step: Scalar) -> Array | Scalar:
-    """A value of the element, none inside the slack: of a step around this instant the share that is outside."""
+    """A value of the element, zero inside the slack: multiplied by the share of a step around this instant that is outside."""
     slack = slots("slack")
     if is_zero(slack):
         return value

@@ -33,8 +33,8 @@ def response_spectrum(
 ) -> Float[Array, " k"]:
     r"""Elastic pseudo-acceleration $S_a(T)=(2\pi/T)^2\max_t|x|$ of one ground motion, shape (k,) [m/s²].
 
-    The oscillator starts at rest and is watched until the last sample; append zeros to count what follows.  A batch of
-    motions is `jax.vmap(response_spectrum, (0, None, None))(accelerations, step, periods)`.
+    The oscillator starts at rest and is evaluated until the last sample; append zeros to include the later response.  A batch
+    of motions is `jax.vmap(response_spectrum, (0, None, None))(accelerations, step, periods)`.
 
     Source: Nigam & Jennings, Bull. Seism. Soc. Am. 59 (1969) 909–922.
 

@@ -21,8 +21,8 @@ class SharedState:
         unit: SI.
         meaning: one line.
         rate: its time derivative, from the elongation [m] and its rate [m/s]; None: it changes at the ends of steps only.
-        settled: its value after a step, from the value before it, the elongation [m] reached, and whether that turned on the way,
-            when it is the one at the turn; None: as it was integrated.
+        settled: its value after a step, from the value before it, the elongation [m] reached, and whether it turned within
+            the step (the elongation is then that of the turn); None: the integrated value.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""One step of an integration, as the quantities see it."""
+"""One step of an integration, for the quantities."""
 
 from typing import Any, NamedTuple
 
@@ -14,11 +14,11 @@ class Step(NamedTuple):
     """A step; each property is computed when a quantity asks for it.
 
     Attributes:
-        system: what is integrated.
+        system: the integrated one.
         start, middle, end: the state and the sample of the excitation at these times.
         length: h [s]; zero of a padded step.
-        turns: force [N] and elongation [m] of every specimen at its reversal within the step, or else at the end.
-        specimen: index of the one that is asked for.
+        turns: force [N] and elongation [m] of every specimen at its reversal within the step, otherwise at the end.
+        specimen: index of the requested one.
     """
 
     system: AbstractSystem
@@ -59,7 +59,7 @@ class Step(NamedTuple):
         return _peak(begin, self.energy(0.5 * self.length), end)
 
     def energy(self, elapsed: Scalar) -> Scalar:
-        """Work [J] done until a time [s] after the start of the step, that at its end where it is longer ago."""
+        """Work [J] until a time [s] after the start of the step; the work at its end if the time is later."""
         share = jnp.clip(elapsed / jnp.where(self.length == 0, 1.0, self.length), 0.0, 1.0)
         begin, end = (state.memory[self.specimen]["energy"] for state, _ in (self.start, self.end))
         powers = (self._power(*self.start), self._power(*self.end))

@@ -1,4 +1,4 @@
-r"""The numerical substructure: masses, linear springs, damping, and where the specimens sit.
+r"""The numerical substructure: masses, linear springs, damping, and the ends of the specimens.
 
 $$M\ddot u + C\dot u + K u + \sum_s b_s\,r_s = -M\,1\,a_g,\qquad \Delta u_s = b_s^\top u$$
 
@@ -92,11 +92,11 @@ class Structure(eqx.Module):
     Arguments:
         masses: [kg], shape (m,).
         springs: linear springs.
-        specimens: the two ends of each; its elongation is the displacement of the second less that of the first.
+        specimens: the two ends of each; its elongation is the displacement of the second minus that of the first.
         damping: a damping model.
 
     Raises:
-        ValueError: an end that is no mass, a spring or specimen with both ends at one place, a mass that is not positive.
+        ValueError: an end is not a mass, both ends of a spring or specimen are equal, or a mass is not positive.
     """
 
     masses: tuple[Scalar, ...] = eqx.field(converter=tuple)
@@ -148,7 +148,7 @@ class Structure(eqx.Module):
     def frequencies(self, specimen_stiffness: Scalar | Sequence[Scalar]) -> Float[np.ndarray, " m"]:
         """Undamped natural frequencies [Hz], lowest first, the specimens at the given stiffness [N/m], one or one for each.
 
-        Of known numbers only, so that a study is checked without compiling anything.
+        For known numbers only, so that a check of a study needs no compilation.
         """
         root = np.sqrt(np.asarray(self.masses, dtype=float))
         matrix = np.asarray(self.stiffness_matrix(specimen_stiffness), dtype=float)
@@ -172,7 +172,7 @@ class Structure(eqx.Module):
 
     @property
     def supports(self) -> tuple[int, ...]:
-        """Which of the springs go to the ground."""
+        """The springs to the ground."""
         return tuple(i for i, spring in enumerate(self.springs) if None in spring.ends)
 
     def altered(self, masses: ArrayLike, supports: ArrayLike) -> "Structure":
@@ -201,12 +201,12 @@ def _eigen(matrix: Float[Array, "m m"]) -> tuple[Float[Array, " m"], Float[Array
 
 
 def _is_rigid(eigenvalues: Any) -> Any:
-    """Which are those of rigid-body modes, zero but for rounding of either sign."""
+    """The eigenvalues of rigid-body modes, which are zero except for rounding."""
     return eigenvalues <= 1e-12 * eigenvalues[-1]
 
 
 def difference(values: Sequence[Scalar], ends: tuple[End, End]) -> Scalar:
-    """Value at the second end less value at the first; the ground counts as zero."""
+    """Value at the second end minus value at the first; the ground counts as zero."""
     first, second = ends
     if first is None:
         assert second is not None
@@ -227,10 +227,10 @@ _DAMPING = {
 
 
 def parameter_of(name: str) -> Parameter:
-    """What is known of a number of a structure: `mass_1`, `stiffness_1`, `ratio`, `ratio_1`, `alpha`, `beta`.
+    """The declaration of a number of a structure: `mass_1`, `stiffness_1`, `ratio`, `ratio_1`, `alpha`, `beta`.
 
     Raises:
-        KeyError: there is none of that name.
+        KeyError: there is no number of this name.
     """
     if name in _DAMPING:
         return _DAMPING[name]

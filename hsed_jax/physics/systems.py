@@ -55,7 +55,7 @@ class AbstractSystem(eqx.Module):
 
     @abstractmethod
     def rates(self, state: State, sample: Any, step: Scalar = 0.0) -> State:
-        """Time derivative of the state under one sample of the excitation; of what jumps within a step [s] its average."""
+        """Time derivative of the state under one sample of the excitation; values that jump within a step [s] are averaged."""
 
     @abstractmethod
     def kinematics(self, state: State, sample: Any) -> tuple[tuple[Scalar, Scalar], ...]:
@@ -210,7 +210,7 @@ class DrivenSpring(AbstractSystem):
         return {name: jnp.asarray(values[name]) for name in names}
 
     def steepness(self, forcing: AbstractForcing, step_length: Float[Array, "..."] | float) -> Scalar:
-        """The longest step of the elongation over that on which the spring yields."""
+        """The longest step of the elongation over the yield elongation of the spring."""
         assert isinstance(forcing, Tabulated)
         return jnp.max(jnp.abs(jnp.diff(forcing.samples.elongation[::2]))) * self._specimen.law.steepness
 

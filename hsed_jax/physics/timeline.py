@@ -15,10 +15,10 @@ class Timeline(NamedTuple):
     """The grid of the integration.
 
     Attributes:
-        step: length of a step [s], the same for all steps of all experiments; None where every experiment has lengths of its own,
-            from its record or from its inputs.
+        step: length of a step [s], the same for all steps of all experiments; None if every experiment has its own step
+            lengths, from its record or from its inputs.
         steps: their number.
-        every: at every so many steps histories are kept; divides `steps`.
+        every: number of steps between kept samples of histories; divides `steps`.
     """
 
     step: float | None
@@ -32,7 +32,7 @@ class Timeline(NamedTuple):
 
 
 def times(step_length: Float[Array, " steps"] | float, every: int, samples: int) -> Float[Array, " samples"]:
-    """When histories are kept [s], from t = 0.
+    """Times of the kept samples of histories [s], from t = 0.
 
     Arguments:
         step_length: [s], one number or one per step.

@@ -143,7 +143,7 @@ def _error(entry: Mapping[str, Any], observe: str) -> str:
     elif "absolute" in entry:
         said = f"{entry['absolute']:g} (SI)"
     else:
-        said = "the noise that the campaign declares, inferred where it declares none"
+        said = "the noise that the campaign declares, otherwise an inferred noise"
     if entry.get("inflate"):
         said += ", and the residual beyond it"
     if entry.get("discrepancy"):

@@ -29,12 +29,12 @@ def band_parts(comparison: Comparison, campaign: Campaign) -> Picture | None:
     """The 90 % bands of experiments with their parts, and the measurements; of held-out experiments, if there are any.
 
     Arguments:
-        comparison: of a calibrated model that says how wrong it is.
+        comparison: of a calibrated model with an estimate of its error.
         campaign: the experiments.
 
     Returns:
-        Quantities less what the model alone predicts, an experiment beside the other; of histories those with the
-        largest error.  None where nothing is said of the model.
+        Quantities minus the predictions of the model alone, side by side; for histories, those with the largest error.  None
+        without a statement on the error of the model.
     """
     split, part, prediction = list(comparison.splits())[-1]
     if "model" not in prediction.parts:

@@ -39,7 +39,7 @@ def behaviour(found: Behaviours) -> Picture | None:
         panel.set_xlabel("share of the path of the test")
     style.legend(figure, panels.flat[0])
     caption = (
-        "What the specimen does along the path of the longest test, read from the same loop in numerical experiments on the "
+        "Behaviour of the specimen along the path of the longest test, from the same loop in numerical experiments on the "
         "fitted models: the model as it was, dashed, and with the named effects, with a band of 90 % over its posterior."
     )
     said = "; ".join(one.sentence for one in found.changes) or "no quantity changes along the test"

@@ -18,7 +18,7 @@ _BARS = "▁▂▃▄▅▆▇█"
 
 
 def catalogue(effects: Catalogue) -> str:
-    """One line per effect: name, family, what it does."""
+    """One line per effect: name, family, action."""
     width = max(len(name) for name in effects)
     families = max(len(effect.family) for effect in effects.values())
     lines = [
@@ -33,7 +33,7 @@ def entry(name: str, effects: Catalogue, curves_of: Callable[[type[AbstractSprin
     Arguments:
         name: of the effect.
         effects: the catalogue.
-        curves_of: what forms look like (`hsed_jax.analysis.form_curves`).
+        curves_of: curves of the forms (`hsed_jax.analysis.form_curves`).
 
     Raises:
         UserError: there is no such effect.

@@ -73,7 +73,7 @@ def errors_over_inputs(inputs: Sequence[tuple[str, str]], largest: float, models
 def residual_along(
     coordinates: Sequence[str], outputs: Sequence[str], noise: Mapping[str, float], models: Sequence[str]
 ) -> Specification:
-    """The size of the residual along a coordinate that the reader chooses, with the noise as a dotted line.
+    """The size of the residual over a coordinate that the reader chooses, with the noise as a dotted line.
 
     Arguments:
         coordinates, outputs: as the table `residual` names them.
@@ -114,8 +114,8 @@ def histories(
         outputs: those over time.
         models: `before`, and `after` where there is one.
         time: title of the time axis.
-        loops: specimens whose force and elongation are both known, by what stands before the names of their outputs.
-        windows: whether there are experiments of which a part is scored; it is shaded.
+        loops: specimens with known force and elongation, by the prefix of their outputs.
+        windows: whether only a part of some experiments is scored; this part is shaded.
     """
     show = {
         key: alt.param(name=f"show_{key}", value=True, bind=alt.binding_checkbox(name=SERIES[key]))
@@ -180,7 +180,7 @@ def _history(
 def _loop(
     axes: Mapping[str, Axis], owner: str, show: Mapping[str, alt.Parameter], number: int, height: float
 ) -> alt.Chart:
-    """Force over elongation of one specimen; an elongation that was imposed is the same for all."""
+    """Force over elongation of one specimen; an imposed elongation is the same for all models."""
     along, force = f"{owner}elongation", f"{owner}force"
     imposed = f"datum['{along}_' + datum.key]"
     elongation = f"isValid({imposed}) ? {imposed} : datum['{along}_measured']"
@@ -198,7 +198,7 @@ def _window() -> alt.Chart:
 
 
 def quantities(axes: Mapping[str, Axis], names: Sequence[str], models: Sequence[str]) -> Specification:
-    """Predicted against measured quantities with 90 % bands; the experiment that the page chooses stands out."""
+    """Predicted against measured quantities with 90 % bands; the chosen experiment is highlighted."""
     color, panels = _color([SERIES[model] for model in models]), []
     said: Any = {
         "tooltip": _tooltip(["experiment", "split", "series"], ["measured", "predicted"]),
@@ -257,7 +257,7 @@ def _chart(
     drawn = drawn.properties(data=alt.NamedData(name=table), **look)
     own = [] if drawn.params is alt.Undefined else drawn.params  # selections with a place in one of the panels
     drawn.params = [*(given.param if isinstance(given, alt.Parameter) else given for given in params), *own]
-    with theme.enable("none"):  # whatever else the process draws
+    with theme.enable("none"):  # independent of other settings of the process
         return drawn.to_dict()
 
 

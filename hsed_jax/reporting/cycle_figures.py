@@ -42,7 +42,7 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
         comparison: of histories; the held-out experiments come first, and of each split those with the largest errors of the
             force; of more than three the first three are shown.
         campaign: whether the elongation was imposed.
-        before: of the model as it was, to lie beneath.
+        before: of the first model, drawn beneath.
 
     Returns:
         The picture; None where force and elongation are not both known.
@@ -94,7 +94,7 @@ def _experiments(comparison: Comparison, campaign: Campaign) -> list[tuple[str, 
 
 
 def _read(models: Mapping[str, Comparison], split: str, id: str, owner: str, campaign: Campaign) -> dict[str, Cycles]:
-    """The cycles of one experiment as they were measured and as each model has them; diverged ones left out."""
+    """The measured cycles of one experiment and those of each model; diverged ones are left out."""
     read = {}
     for model, comparison in models.items():
         prediction = next(p for name, _, p in comparison.splits() if name == split)

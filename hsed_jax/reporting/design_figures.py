@@ -11,7 +11,7 @@ from hsed_jax.reporting import excitation_figures, figures
 from hsed_jax.reporting.style import Picture
 
 CHANNELS = ("elongation", "force", "energy")
-"""What figures 4 and 8 show of a specimen."""
+"""The contents of figures 4 and 8 for a specimen."""
 
 
 def excitations(stored: xr.Dataset, pair: Pair) -> Picture:

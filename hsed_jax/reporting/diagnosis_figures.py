@@ -36,7 +36,7 @@ _MEASURED = {**style.MEASURED, "label": "measured", "linewidth": 0.9}
 def ranking(diagnosis: Diagnosis) -> Picture:
     """The best candidates: the loss of the score against the best one, and the probability of each.
 
-    Named effects and their look-alikes stand out.
+    Named effects and similar effects are highlighted.
 
     Arguments:
         diagnosis: `ranking` with at least one candidate that was scored.
@@ -138,7 +138,7 @@ def error_fall(trail: Trail) -> Picture:
     panel.axhline(trail.noise_floor, color=style.DARK_GREY, linestyle=":", linewidth=1.3, zorder=1, label="noise floor")
     for place, (step, both) in enumerate(zip(steps, zip(train, test, strict=True), strict=True)):
         if texts := _errors_of(step):
-            height = np.nanmax([*both, trail.noise_floor])  # what diverged has no height of its own
+            height = np.nanmax([*both, trail.noise_floor])  # a diverged model has no finite height
             panel.annotate("\n".join(texts), (place, height), xytext=(0, 4), textcoords="offset points", ha="center",
                            va="bottom", fontsize=8, linespacing=1.1)  # fmt: skip
     words = ["model as it was", *("+ " + style.words(called(s.effects[-1], s.parameters)) for s in steps[1:])]
@@ -171,11 +171,11 @@ def before_after(before: Comparison, after: Comparison, campaign: Campaign) -> P
     and after, and its histories.  For quantities: predicted against measured, all experiments.
 
     Arguments:
-        before, after: the model as it was and the improved one against the same measurements.
+        before, after: the first model and the improved one, compared with the same measurements.
         campaign: whether it has a time, and whether the elongation was imposed.
 
     Returns:
-        The picture; None where no experiment of histories has errors of its own.
+        The picture; None if no experiment of histories has errors.
     """
     if before.train_prediction.groups.size == len(before.train_prediction.outputs):
         return _scatter(before, after, campaign.pair)
@@ -327,8 +327,8 @@ def parameters_before_after(
     Arguments:
         before, after: `mean`, `q05` and `q95` by parameter, SI, as `Fit.summary` gives them.
         units: SI unit by parameter.
-        truth: values of the virtual specimen where there is one, drawn as a line.
-        effects: names of all that there are; what belongs to one of them is left out.
+        truth: values of the virtual specimen if it exists, drawn as lines.
+        effects: names of all effects; their parameters are left out.
 
     Returns:
         The picture; None where the two have no parameter of the law in common.

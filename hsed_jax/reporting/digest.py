@@ -14,9 +14,7 @@ _QUOTED = 5  # doubts of the data
 
 
 def verdict(run: FinishedRun) -> str:
-    """The behaviour of the specimen and the result of the run, a sentence each, after a warning on bounds that estimates lean
-    on.
-    """
+    """The behaviour of the specimen and the result of the run, a sentence each, after a warning on estimates on bounds."""
     does = run.summary.get("diagnosis", {}).get("behaviour_sentence", "")
     return " ".join([*_cautions(run), *([sentence(does)] if does else []), _found(run)])
 
@@ -29,7 +27,8 @@ def behaviour(run: FinishedRun) -> list[str]:
 def _cautions(run: FinishedRun) -> Iterator[str]:
     """The warning to read before using the estimates of the last model.
 
-    An effect may free an estimate of the model as it was from its bound, so the warning on that model stands with the others.
+    An added effect may move an estimate of the first model away from its bound, so the warning on the first model is shown,
+    too.
     """
     if caution := run.summary.get(_last_model(run), {}).get("caution"):
         yield sentence(f"of the improved model, {caution}" if _last_model(run) == "improvement" else caution)
@@ -89,10 +88,10 @@ def _improved(summary: Mapping[str, Any]) -> str:
 
 
 def by_channel(comparisons: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The error of each output, which the error over all of them may hide: a row per split and output.
+    """The error of each output, which the error over all outputs may conceal: a row per split and output.
 
     Arguments:
-        comparisons: as in `summary.json`, of the model as it was (`before`) and of the improved one (`after`), if there is one.
+        comparisons: as in `summary.json`, of the first model (`before`) and of the improved one (`after`), if it exists.
 
     Returns:
         Split, output, error by model, and the `share` of the squared error of the last model that the output has.
@@ -113,7 +112,7 @@ def by_channel(comparisons: Mapping[str, Mapping[str, Any]]) -> list[dict[str, A
 
 
 def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
-    """The key figures: a label, the number, and the number as it is shown."""
+    """The key figures: a label, the number, and its displayed text."""
     summary, found = run.summary, []
 
     def add(key: str, label: str, value: float | None, form: str = "{:.3f}") -> None:
@@ -136,7 +135,7 @@ def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
             probability = by_name[effect]["probability"]
             label = f"probability of {effect.replace('_', ' ')} {AMONG}"
             if right := worth(probability):
-                label += f"; where its formula is not listed, right in about {100 * right:.0f} %"
+                label += f"; if its formula is not listed, right in about {100 * right:.0f} %"
             text = shown(probability, is_named=True)
             found.append({"key": f"probability_{effect}", "label": label, "value": probability, "text": text})
     if "design" in summary:

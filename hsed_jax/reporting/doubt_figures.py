@@ -39,8 +39,8 @@ def write_pictures(campaign: Campaign, findings: Sequence[Finding], folder: Path
 
     Arguments:
         campaign: the measurements.
-        findings: what its check found; errors are not drawn.
-        folder: where to; made where it is missing.
+        findings: of its check; errors are not drawn.
+        folder: of the pictures; created if it is missing.
 
     Yields:
         The experiment and its file.
@@ -71,7 +71,7 @@ def doubts_picture(campaign: Campaign, experiment: Experiment, doubts: Sequence[
         doubts: of this record.
 
     Returns:
-        The picture; None without a doubt of a channel of the record, or with a record in which numbers are missing.
+        The picture; None without a doubt of a channel of the record, or if the record has missing numbers.
     """
     record = experiment.record
     if record is None or not all(np.isfinite(v).all() for v in (record.time, *record.channels.values())):

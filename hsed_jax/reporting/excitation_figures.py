@@ -15,8 +15,8 @@ def histories(channel: str, times: Float[np.ndarray, "n m"], values: Float[np.nd
     """Fig. 3 of forces or elongations: random realisations in grey, the one at the central inputs in red.
 
     Arguments:
-        channel: what is drawn.
-        times: [s], the first row at the central inputs; how long an imposed elongation lasts depends on its inputs.
+        channel: the drawn one.
+        times: [s], the first row at the central inputs; the duration of an imposed elongation depends on its inputs.
         values: SI.
         pair: that the specimens are measured in.
     """

@@ -1,7 +1,7 @@
 """The figures of a study, numbered as in Abbiati & Marelli.
 
-Each function takes plain arrays in SI units and returns a `Picture`: the figure, its caption, and its content in a sentence for
-readers who cannot see it.  Nothing here reads a file or changes matplotlib's global state.
+Each function takes plain arrays in SI units and returns a `Picture`: the figure, its caption, and its content in a sentence
+for readers who cannot see it.  These functions read no files and do not change the global state of matplotlib.
 """
 
 from collections.abc import Mapping, Sequence
@@ -61,8 +61,8 @@ def ground_motions(
             [np.column_stack([x, y]) for y in realisations],
             colors=style.DARK_GREY,
             linewidths=0.5,
-            alpha=min(1.0, max(0.08, 30 / max(count, 1))),  # many curves show where they are dense
-            rasterized=realisations.size > _MANY_POINTS,  # an SVG of a million vertices opens nowhere
+            alpha=min(1.0, max(0.08, 30 / max(count, 1))),  # many curves show their density
+            rasterized=realisations.size > _MANY_POINTS,  # viewers cannot open an SVG with a million vertices
         )
         panel.add_collection(curves)
         panel.plot([], [], color=style.GREY, label=f"{count} random realisations")
@@ -116,7 +116,7 @@ def estimate_maps(
 
     Arguments:
         grid_inputs: values of the two inputs, shapes (a,) and (b,), each increasing.
-        values: MAP estimates, shape (p, a, b); NaN where there is none.
+        values: MAP estimates, shape (p, a, b); NaN without one.
         names, units: of the p parameters.
         input_labels: unit by name of the two inputs, in the order of `grid_inputs`.
     """
@@ -130,7 +130,7 @@ def estimate_maps(
         shown = np.ma.masked_invalid(estimate / divisor)
         _filled_contours(figure, panel, x, y, shown, style.label(name, unit))
         panel.set(xlabel=style.label(x_name, x_unit), ylabel=style.label(y_name, y_unit))
-        # The extremes of an empty array are `masked`, which is no number.
+        # The extremes of an empty array are `masked`, which is not a number.
         low, high = (style.amount(float(np.ma.filled(v, np.nan)), unit) for v in (shown.min(), shown.max()))
         said.append(f"{name} between {low} and {high}")
     style.panel_titles(panels)
@@ -182,7 +182,7 @@ def exploration_order(inputs: npt.ArrayLike, initial: int, bounds: npt.ArrayLike
     if dimension == 1:
         figure, what = _order_along_a_line(inputs[:, 0], initial, bounds[0], axes[0]), "Order of the experiments"
     elif dimension == 2:
-        figure, what = _order_over_a_plane(inputs, initial, bounds, axes), "Order in which regions were explored"
+        figure, what = _order_over_a_plane(inputs, initial, bounds, axes), "Order of the explored regions"
     else:
         figure, what = _order_over_pairs(inputs, initial, bounds, axes), "Order of the experiments, by pairs of inputs"
     return Picture(
@@ -204,7 +204,7 @@ def estimate_history(
     """Fig. 7: MAP estimates at each iteration with their 90 % credible band.
 
     Arguments:
-        estimates, lower, upper: shape (n, p), NaN where there is none.
+        estimates, lower, upper: shape (n, p), NaN without one.
         names, units: of the p parameters.
         references: true or published values of some of them, drawn as a line.
     """
@@ -382,7 +382,7 @@ def _smooth_order(inputs: np.ndarray, bounds: np.ndarray, x: np.ndarray, y: np.n
     width = 0.5 / np.sqrt(len(inputs))  # half the distance of neighbours in the unit square
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     distance = (((grid[..., None, :] - inputs) / span / width) ** 2).sum(-1)
-    # Relative to the nearest experiment: far from all of them every weight would be zero.
+    # Relative to the nearest experiment: otherwise every weight would be zero far from all experiments.
     weights = np.exp(-0.5 * (distance - distance.min(-1, keepdims=True)))
     return (weights * order).sum(-1) / weights.sum(-1)
 

@@ -1,4 +1,4 @@
-"""A finished run as its folder holds it: the content of its report."""
+"""A finished run from its folder: the content of its report."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class FinishedRun(Tabular):
         campaign: the experiments.
         results: `results.nc`; None of a run that was interrupted.
         figures: SVG by name.
-        export_check: what `check.json` of its export holds; None where no script was checked.
+        export_check: content of `check.json` of its export; None without a checked script.
     """
 
     folder: Path
@@ -40,7 +40,7 @@ class FinishedRun(Tabular):
 
     @property
     def name(self) -> str:
-        """Of the study."""
+        """Name of the study."""
         return self.summary["study"]
 
     def _table(self) -> Table:
@@ -56,7 +56,7 @@ class FinishedRun(Tabular):
 
     @property
     def comparisons(self) -> dict[str, dict[str, Any]]:
-        """`comparison` of the model as it was (`before`) and of the improved one (`after`), where they were made."""
+        """`comparison` of the first model (`before`) and of the improved one (`after`), if they exist."""
         found = {
             "before": self.summary.get("comparison"),
             "after": self.summary.get("improvement", {}).get("comparison"),
@@ -70,7 +70,7 @@ class FinishedRun(Tabular):
 
     @property
     def observes_histories(self) -> bool:
-        """Whether histories were fitted; else quantities."""
+        """Whether histories were fitted; otherwise quantities."""
         return self.study.get("observe") == "histories"
 
     def predictions(self, split: str) -> dict[str, xr.DataTree]:

@@ -1,7 +1,7 @@
 """A figure's SVG as part of a page: with the page's colours, unique identifiers, its caption and alternative text.
 
-A run folder may come from somebody else.  So the page accepts only what matplotlib writes: listed elements, attributes and
-properties, whose values name nothing outside the drawing.
+A run folder may come from another person. Therefore the page accepts only the output of matplotlib: listed elements,
+attributes and properties, whose values refer to nothing outside the drawing.
 """
 
 import re
@@ -41,7 +41,7 @@ _SHEET = "*{stroke-linejoin:round;stroke-linecap:butt}"
 
 @dataclass(frozen=True)
 class InlineFigure:
-    """A figure ready to stand in a page.
+    """A figure for a page.
 
     Attributes:
         name: of its files.
@@ -63,13 +63,13 @@ def inline(name: str, text: str) -> InlineFigure:
         text: content of the file.
 
     Raises:
-        UserError: it is no drawing, or holds what matplotlib does not write: a script in it would run in the browser of who
-            reads the page, and an address in it would tell that the page is read.
+        UserError: it is not a drawing, or contains parts that matplotlib does not write: a script would run in the browser of
+            the reader, and an address would reveal that the page is read.
     """
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
-        raise UserError(f"figures/{name}.svg: this is no drawing ({error})") from None
+        raise UserError(f"figures/{name}.svg: this is not a drawing ({error})") from None
     caption, alt = (root.findtext(f"{_SVG}metadata//{_DUBLIN_CORE}{what}") or "" for what in ("title", "description"))
     for about in ("metadata", "title"):
         for element in root.findall(f"{_SVG}{about}"):
@@ -88,7 +88,7 @@ def _make_own(element: ElementTree.Element, name: str, mark: str) -> None:
     """Check an element, and give it the page's colours and unique identifiers.
 
     Raises:
-        UserError: it is none that matplotlib writes.
+        UserError: matplotlib does not write such an element.
     """
     if element.tag not in _ELEMENTS:
         raise _refused(name, element.tag.rpartition("}")[2])
@@ -135,4 +135,4 @@ def _set(about: str, value: str, name: str, mark: str) -> str:
 
 
 def _refused(name: str, what: str) -> UserError:
-    return UserError(f"figures/{name}.svg: it holds more than a drawing ({what}), which a page does not take")
+    return UserError(f"figures/{name}.svg: it contains more than a drawing ({what}), which a page does not accept")

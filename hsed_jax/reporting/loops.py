@@ -1,6 +1,6 @@
 """The measured loops alone, before any fit: a small picture, and a sketch for a terminal.
 
-The house style knows every effect, which loads JAX.  That takes longer than all other work on a file before it is fitted.
+The house style imports all effects, which loads JAX. This takes longer than all other work on a file before the fit.
 """
 
 import io

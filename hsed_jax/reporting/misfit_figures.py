@@ -38,7 +38,7 @@ _COLUMNS: dict[str, tuple[str, float, str]] = {
 def misfit_drawings(
     comparison: Comparison, location: Location | None, errors_over_inputs: xr.Dataset | None, campaign: Campaign
 ) -> Iterator[Drawing]:
-    """Every figure of the misfit for which there are data.
+    """Every figure of the misfit that has data.
 
     Arguments:
         comparison: a calibrated model against its measurements.
@@ -236,7 +236,7 @@ def measured_against_predicted(comparison: Comparison, campaign: Campaign) -> Pi
 
 @style.in_house_style
 def error_table(comparison: Comparison, campaign: Campaign) -> Picture | None:
-    """The errors of each experiment and output, worst first; None where no experiment has errors of its own."""
+    """The errors of each experiment and output, worst first; None if no experiment has errors."""
     found = [
         (id, name, output, values)
         for name, split, _ in comparison.splits()
@@ -292,5 +292,5 @@ def _cell(value: float, factor: float, look: str) -> str:
 
 
 def badness(values: Mapping[str, float]) -> float:
-    """The error, largest where it is no number."""
+    """The error, largest if it is not a number."""
     return values["nrmse"] if np.isfinite(values["nrmse"]) else np.inf

@@ -84,7 +84,7 @@ def _coordinate(place: Place) -> str:
 
 
 def _numbers(samples: Samples, campaign: Campaign) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
-    """Values, which of them are known, and axis label of every ordered coordinate, the inputs among them."""
+    """Values, their known ones, and axis label of every ordered coordinate, including the inputs."""
     found, pair = {}, campaign.pair
     for name, values in samples.numbers.items():
         values = np.asarray(values, dtype=float)
@@ -196,7 +196,7 @@ def _name_largest(panel: Axes, places: np.ndarray, errors: np.ndarray, ids: list
         if any((np.abs(places[i] - places[other]) < near).all() for other in named):
             continue
         named.append(i)
-        left = places[i, 0] > places[:, 0].mean()  # the name goes inwards, where there is room
+        left = places[i, 0] > places[:, 0].mean()  # the name is placed inwards, because there is room
         panel.annotate(
             style.plain(ids[i], 24), (places[i, 0], places[i, 1]), (-9 if left else 9, 0), fontsize=7, zorder=5,
             textcoords="offset points", ha="right" if left else "left", va="center_baseline", bbox=_LABEL,

@@ -19,11 +19,11 @@ from hsed_jax.reporting.page_tables import unit_words
 from hsed_jax.tables import odds
 
 GENERATOR = '<meta name="generator" content="hsed_jax">'
-"""By which a page of ours is known."""
+"""The mark of a page of this package."""
 
 
 def number(value: float | None) -> str:
-    """Four digits; a dash where there is no number."""
+    """Four digits; a dash without a number."""
     return f"{value:.4g}" if value is not None and np.isfinite(value) else "–"
 
 
@@ -76,7 +76,7 @@ def _library() -> str:
     from altair import SCHEMA_VERSION
     from vl_convert import javascript_bundle
 
-    spoken = SCHEMA_VERSION.rpartition(".")[0]  # "v6.4": what the charts are written in
+    spoken = SCHEMA_VERSION.rpartition(".")[0]  # "v6.4": the version of the language of the charts
     script = javascript_bundle("window.vegaEmbed = vegaEmbed;", spoken).replace("</script", "<\\/script")
     with suppress(OSError):
         if kept is not None:

@@ -23,10 +23,10 @@ _IN_A_BIN = 8
 _WORDS = {"amplitude": "elongation", "energy": "absorbed energy", "speed": "elongation rate"}
 
 SERIES = {"measured": "measured", "before": "as it was", "after": "improved"}
-"""What is drawn, by its key in the tables, in words."""
+"""Names of the drawn series by their keys in the tables."""
 
 Table = dict[str, list]
-"""Columns by name, all of one length; None where there is no number."""
+"""Columns by name, all of one length; None without a number."""
 
 
 class Axis(NamedTuple):
@@ -181,7 +181,7 @@ def residual_table(run: FinishedRun) -> Table:
         residual = joined.pop("residual")
         for coordinate, values in joined.items():
             if coordinate == "speed" and not run.campaign.has_time:
-                continue  # the row number is no time
+                continue  # the row number is not a time
             label, divisor = _coordinate(run, coordinate, values)
             for low, high, size in _bins(values, residual):
                 rows.append(

@@ -13,8 +13,8 @@ def population(level: str, parameters: Mapping[str, Mapping[str, Any]], units: M
     """A panel for each parameter that varies with a level: every member with its 90 % interval, and the population behind them.
 
     Arguments:
-        level: the column that tells the specimens apart.
-        parameters: what varies, as `Fit.levels` has it for a level.
+        level: the column that distinguishes the specimens.
+        parameters: the varying ones, as `Fit.levels` has it for a level.
         units: SI units by name.
     """
     names = list(parameters)

@@ -22,7 +22,7 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
 
     Arguments:
         fit: the calibrated model; of more than six parameters the first six are shown.
-        before: the model as it was, to lie beneath; None for none.  It may lack some of the parameters.
+        before: the first model, drawn beneath; None for none.  It may lack some of the parameters.
         truth: values to be drawn as lines, SI, by name.
     """
     names = fit.names[:_MOST]

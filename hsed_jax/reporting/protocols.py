@@ -26,7 +26,7 @@ def entry(name: str) -> str:
     """One protocol: title, source, the reference of its amplitudes, its steps, and its continuation.
 
     Raises:
-        UserError: there is none of this name.
+        UserError: there is no protocol of this name.
     """
     known = protocol(name)
     rows = [("step", "amplitude", "cycles", f"trailing cycles at {TRAILING:g} of it")]

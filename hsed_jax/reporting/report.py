@@ -49,15 +49,15 @@ _STILL = {
     "posterior": ("posterior", "population"),
     "excitation": ("fig3_excitation", "fig4_loops_and_energy"),
 }
-"""Figures of the run folder that stand in the page as they are, by section."""
+"""Figures of the run folder that the page shows unchanged, by section."""
 
 
 def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
     """The page of one run.
 
     Arguments:
-        run: what its folder holds.
-        left_out: notes the charts and tables that cannot be made; the page says them among its warnings.
+        run: content of its folder.
+        left_out: notes the charts and tables that cannot be made; the page lists them among its warnings.
     """
     left_out = left_out or LeftOut()
 
@@ -108,12 +108,12 @@ def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
 
 
 Chart = tuple[dict[str, Any] | None, dict[str, tables.Table]]
-"""A specification, and the tables that it draws; None where there is no material for it."""
+"""A specification, and the tables that it draws; None without data for it."""
 
 
 def _where_chart(run: FinishedRun) -> Chart:
     """The error of every experiment over the varying inputs."""
-    from hsed_jax.reporting import charts  # Altair takes seconds to load: only who writes a page waits for it
+    from hsed_jax.reporting import charts  # Altair takes seconds to load, so it is imported only for a page
 
     shown = tables.experiments_table(run)
     if not shown:
@@ -318,7 +318,7 @@ def _size(name: str, estimate: dict[str, Any]) -> str:
 
 
 def _references(run: FinishedRun) -> list[tuple[str, str]]:
-    """Of the law, of the effects in the model, of those named and added, and of the design."""
+    """References of the law, of the effects in the model, of those named and added, and of the design."""
     found = [(name.replace("_", " "), text) for name, text in run.summary.get("references", {}).items()]
     if "design" in run.summary:
         found.append(

@@ -1,4 +1,4 @@
-"""Several runs on one page: verdicts, figures, parameters, and what differs in their settings."""
+"""Several runs on one page: verdicts, figures, parameters, and the differences of their settings."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -13,7 +13,7 @@ from hsed_jax.reporting.page_tables import SERIES, columns
 
 def comparison_page(runs: Sequence[FinishedRun]) -> str:
     """The page of several runs side by side."""
-    from hsed_jax.reporting import charts  # Altair takes seconds to load: only who writes a page waits for it
+    from hsed_jax.reporting import charts  # Altair takes seconds to load, so it is imported only for a page
 
     names = _distinct(runs)
     named = list(zip(names, runs, strict=True))
@@ -72,7 +72,7 @@ def _differences(contents: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[
 
 
 def _text(value: Any) -> str:
-    """As it would stand in a study."""
+    """A value as in a study."""
     return yaml.safe_dump(value, default_flow_style=True, width=1000).strip() if isinstance(value, list) else str(value)
 
 
@@ -85,7 +85,7 @@ def _flat(content: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any
 
 
 def _distinct(runs: Sequence[FinishedRun]) -> list[str]:
-    """Names that tell the runs apart: of the studies, or of the folders."""
+    """Names that distinguish the runs: of the studies, or of the folders."""
     for names in ([run.name for run in runs], [run.folder.name for run in runs]):
         if len(set(names)) == len(names):
             return names

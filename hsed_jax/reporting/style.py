@@ -1,7 +1,7 @@
-"""How every figure looks and is kept: size, fonts, colours, the words and units on its axes, and its files.
+"""The style of every figure: size, fonts, colours, the words and units on its axes, and its files.
 
-Colour-blind readers tell the colours apart; what is compared also differs in line style or width, so that a
-black-and-white print says the same.
+Colour-blind readers can distinguish the colours. Compared series also differ in line style or width, for black-and-white
+prints.
 """
 
 import io
@@ -63,7 +63,7 @@ _RC = {
 
 
 def in_house_style[**P, R](draw: Callable[P, R]) -> Callable[P, R]:
-    """Run a drawing function under the house style, whatever the user's matplotlib settings, and restore those."""
+    """Run a drawing function under the house style, and restore the user's settings of matplotlib."""
 
     @wraps(draw)
     def styled(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -75,7 +75,7 @@ def in_house_style[**P, R](draw: Callable[P, R]) -> Callable[P, R]:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its caption and, as alternative text, what it shows."""
+    """A figure with its caption and its content as alternative text."""
 
     figure: Figure
     caption: str
@@ -89,7 +89,7 @@ class Picture:
         engine = self.figure.get_layout_engine()
         assert engine is not None
         engine.execute(self.figure)
-        # Not "none": a figure with that for its engine is laid out by one more drawing whenever it is saved.
+        # Not "none": a figure with this engine is drawn once more whenever it is saved.
         self.figure.set_layout_engine(None)
 
     @in_house_style
@@ -101,11 +101,11 @@ class Picture:
 
 
 Drawing = tuple[str, Callable[[], Picture | None]]
-"""The name of a picture's files, and what draws it; None where there is nothing to show."""
+"""The name of a picture's files, and its drawing function; None without data."""
 
 
 def _set_powers_of_ten(axis: Axis) -> None:
-    """Write a power of ten that an axis has as ×10⁴; where there is none, no number needs to be set as mathematics."""
+    """Write a power of ten of an axis as ×10⁴; without one, no number is set as mathematics."""
     formatter = axis.get_major_formatter()
     if isinstance(formatter, ScalarFormatter):
         formatter.set_locs(list(axis.get_majorticklocs()))
@@ -130,7 +130,7 @@ def save(picture: Picture, folder: str | Path, name: str) -> tuple[Path, Path]:
 
 
 def new_figure(height: float) -> Figure:
-    """An empty figure [inch] that no global registry knows of, so that a batch of thousands leaks nothing."""
+    """An empty figure [inch] that is in no global registry, so that a batch of thousands leaks no memory."""
     return Figure(figsize=(WIDTH, height), layout="constrained")
 
 
@@ -170,7 +170,7 @@ def legend(figure: Figure, *panels: Axes) -> None:
         handles, texts = panel.get_legend_handles_labels()
         entries.update(zip(texts, handles, strict=True))
     if entries:
-        # A line holds some 95 letters, of which the key of each entry takes eight.
+        # A line has some 95 letters; the key of each entry takes eight of them.
         lines = -(-sum(8 + len(text) for text in entries) // 95)
         columns = -(-len(entries) // lines)
         figure.legend(list(entries.values()), list(entries), loc="outside upper center", ncols=columns)
@@ -182,7 +182,7 @@ def whole_numbers(axis: Axis) -> None:
 
 
 def levels(values: np.ma.MaskedArray) -> np.ndarray:
-    """Round contour levels that enclose the values, also where they are all the same or there are none."""
+    """Round contour levels that enclose the values, also for equal or missing values."""
     low, high = (float(values.min()), float(values.max())) if values.count() else (0.0, 1.0)
     if high - low <= 1e-9 * abs(high):
         low, high = low - 0.05 * (abs(low) or 1.0), high + 0.05 * (abs(high) or 1.0)
@@ -220,7 +220,9 @@ def label(name: str, unit: str) -> str:
 
 
 def symbol(name: str) -> str:
-    """The symbol that a parameter declares, in dollars; else a short name as it is set, V_P; else the name as words."""
+    """The symbol that a parameter declares, in dollars; otherwise a short name as a symbol, V_P; otherwise the name as
+    words.
+    """
     owner, own = owner_of(name), own_name(name)
     if owner == OWNER:
         return f"${parameter_of(own).symbol}$"
@@ -242,7 +244,7 @@ def plain(name: str, longest: int = 40) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """A unit as it is set in print: ``m/s^2`` → m/s², no unit → –."""
+    """A unit in print: ``m/s^2`` → m/s², no unit → –."""
     if unit in ("1", "-", ""):
         return "–"
     raised = re.sub(r"\^\(([^)]*)\)|\^(-?\d+)", lambda m: f"$^{{{m[1] or m[2]}}}$", unit)

@@ -1,4 +1,4 @@
-"""Figures of many studies side by side: what came out over the keys that were swept, and Sobol' indices."""
+"""Figures of many studies: the results over the swept keys, and Sobol' indices."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -67,8 +67,8 @@ class _Outcome:
 def comparison(table: pd.DataFrame, keys: Sequence[str], is_grid: bool, units: Mapping[str, str]) -> Picture:
     """Estimates with their 90 % intervals and errors over the swept keys.
 
-    Of a grid the key with most values is the horizontal axis, and there is a line for each combination of the others; of
-    other points there is a column of panels for each key.
+    For a grid, the key with most values is the horizontal axis, with a line for each combination of the others. For other
+    points, each key has a column of panels.
 
     Arguments:
         table: a row per study; those that did not complete are left out.
@@ -169,7 +169,7 @@ def _points(ax: Axes, done: pd.DataFrame, key: str, keys: Sequence[str], outcome
 
 
 def _axis(ax: Axes, values: pd.Series, words: str):
-    """Set up the horizontal axis for a key; returns what gives the places of its values, a little beside each other."""
+    """Set up the horizontal axis for a key; returns a function for the positions of its values, with a small offset."""
     ax.set_xlabel(plain(words))
     if not _is_numeric(values):
         known = sorted(values.astype(str).unique())

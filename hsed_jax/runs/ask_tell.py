@@ -1,6 +1,6 @@
-"""Asking and telling: a design whose experiments are performed by people or by a controller, over days.
+"""Ask and tell: a design with experiments that people or a controller perform, over days.
 
-The run folder is held only between opening and closing, so that a laptop may sleep between two tests.
+The run folder is locked only between opening and closing, so that a laptop may sleep between two tests.
 """
 
 from collections import Counter
@@ -26,11 +26,11 @@ from hsed_jax.tables import Table, Tabular
 
 
 class AskTell(Tabular):
-    """A design in a run folder that one asks and tells; a context manager, since it holds the folder.
+    """A design in a run folder with `ask` and `tell`; a context manager, because it locks the folder.
 
     Arguments:
         study: with the step `design`; None: that of the run in the folder.
-        output: the run folder; by default `runs/<study>`. A run that is there is gone on with.
+        output: the run folder; by default `runs/<study>`. An existing run continues.
 
     Raises:
         UserError: the study or the folder is wrong, or another process has the folder.
@@ -71,22 +71,20 @@ class AskTell(Tabular):
 
     @property
     def stop_reason(self) -> str | None:
-        """Why no further experiment is to be asked; None while one is."""
+        """The reason why the design is complete; None if it is not."""
         return self.conduct.stop_reason
 
     def ask(self, count: int = 1) -> list[Asked]:
-        """Have this many experiments out, asking new ones where fewer are.
-
-        Saying it again changes nothing until something is told.
+        """Request experiments until this number is pending. A second call changes nothing until a result is reported.
 
         Arguments:
-            count: how many are to be performed before something is told.
+            count: number of experiments to perform before the next report.
 
         Returns:
-            All that are out; fewer than `count` where the design is complete.
+            All pending experiments; fewer than `count` where the design is complete.
 
         Raises:
-            UserError: so many cannot be out before something is told, or the design cannot go on, see `Conduct.ask`.
+            UserError: so many experiments cannot be pending, or the design cannot continue, see `Conduct.ask`.
         """
         if count < 1:
             raise UserError(f"{count} experiments cannot be requested; ask for at least 1")
@@ -106,7 +104,7 @@ class AskTell(Tabular):
         return out
 
     def ask_again(self, id: str) -> Asked:
-        """Ask an experiment that failed once more.
+        """Request a failed experiment again.
 
         Raises:
             UserError: there is no such experiment, or it did not fail.
@@ -123,16 +121,17 @@ class AskTell(Tabular):
         quantities: Mapping[str, float] | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> None:
-        """Take what was measured in an experiment.
+        """Report the measurements of an experiment.
 
         Arguments:
-            id: of the experiment; one that was not asked needs `inputs` and is welcome.
-            record: a file, or a table of columns, as `experiments` declares channels; by default what lies in the folder.
-            quantities: numbers in their declared units; by default what lies in the folder.
-            inputs: as tested, in their declared units, where they differ from those that were asked.
+            id: of the experiment; an unrequested one needs `inputs` and is welcome.
+            record: a file, or a table of columns, as `experiments` declares channels; by default the files in the folder.
+            quantities: numbers in their declared units; by default the files in the folder.
+            inputs: as tested, in their declared units, if they differ from the requested ones.
 
         Raises:
-            UserError: nothing was measured, it is not what the study declares, or the experiment is settled already.
+            UserError: nothing was measured, the measurements differ from the declaration of the study, or the experiment is
+                already completed or abandoned.
         """
         self.conduct.settling(id, inputs)
         self.conduct.tell(id, self._requests.measured(id, record, quantities, inputs), inputs)
@@ -145,7 +144,7 @@ class AskTell(Tabular):
         record: str | Path | Columns | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> None:
-        """Say that an experiment failed and may be asked again; a record until then is kept, and not fitted.
+        """Report a failed experiment, which may be requested again; a record until then is kept, and not fitted.
 
         Raises:
             UserError: the record cannot be read, or the experiment is unknown or settled already.
@@ -160,7 +159,7 @@ class AskTell(Tabular):
         record: str | Path | Columns | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> None:
-        """Say that an experiment is never to be asked again; a record until then is kept, and not fitted.
+        """Abandon an experiment: it is never requested again; a record until then is kept, and not fitted.
 
         Raises:
             UserError: the record cannot be read, or the experiment is unknown or settled already.
@@ -168,13 +167,13 @@ class AskTell(Tabular):
         self._give_up(id, reason, record, inputs, abandon=True)
 
     def take(self, campaign: Campaign) -> list[str]:
-        """Take earlier experiments: completed, failed and abandoned ones, none of them twice.
+        """Add earlier experiments: completed, failed and abandoned ones, each only once.
 
         Returns:
-            The ids that were taken.
+            The ids of the added experiments.
 
         Raises:
-            UserError: an experiment does not fit the study; those before it were taken.
+            UserError: an experiment does not fit the study; those before it are added.
         """
         factors, taken = self.built.experiments.space.factors, []
         for experiment in campaign:
@@ -199,7 +198,7 @@ class AskTell(Tabular):
         return taken
 
     def folder(self, id: str) -> Path:
-        """Where the request of an experiment lies and its measurements are left."""
+        """The folder of the request and the measurements of an experiment."""
         return self._requests.folder(id)
 
     def told(self, asked: Asked) -> str:
@@ -231,14 +230,14 @@ class AskTell(Tabular):
         )
 
     def _step_of(self, asked: Asked) -> Mapping[str, Any] | None:
-        """The step of the design that chose an experiment; None where none did."""
+        """The step of the design that chose an experiment; None without one."""
         for step in reversed(self.conduct.steps):
             if self.built.experiments.space.point(np.asarray(step["cube"])).si == asked.si:
                 return step
         return None
 
     def expected(self, asked: Asked) -> Expected:
-        """What the model expects of an experiment, as its parameters are known now."""
+        """The expected response of the model, for the current knowledge of its parameters."""
         return self._requests.expected(asked)
 
     def _give_up(

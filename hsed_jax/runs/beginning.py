@@ -73,7 +73,7 @@ def add_force(parser: Any, replace: str) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what may be said of files, where they do not tell it themselves."""
+    """Add the options that complete files."""
     column = (
         "of files: the column of the elongation; its position if the columns have no names; 'd1 - d0' subtracts columns"
     )
@@ -110,14 +110,14 @@ def _is_other(word: str) -> bool:
 
 
 def check_files(files: Sequence[Path], options: Any) -> "Begun":
-    """Read files, tell what was taken for what and what is doubtful, and write nothing.
+    """Read files, print the chosen columns and the doubts, and write nothing.
 
     Arguments:
         files: of one specimen.
         options: of the command line.
 
     Raises:
-        UserError: the files do not tell what is needed, or the data have errors.
+        UserError: the files are not sufficient, or the data have errors.
     """
     from hsed_jax.intake.beginning import begun
     from hsed_jax.reporting.loops import sketch
@@ -132,7 +132,7 @@ def check_files(files: Sequence[Path], options: Any) -> "Begun":
 
 
 def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, resume: bool = False) -> Path:
-    """Make the campaign and the study of files, and tell what was taken for what.
+    """Make the campaign and the study of files, and print the chosen columns.
 
     Arguments:
         files: of one specimen.
@@ -144,7 +144,7 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
         The study.
 
     Raises:
-        UserError: the files do not tell what is needed, the data have errors, or the folder is there.
+        UserError: the files are not sufficient, the data have errors, or the folder exists.
     """
     folder = Path(output) if output else _beside(files[0])
     study = folder / "study.yaml"
@@ -171,7 +171,7 @@ def study_of_files(files: Sequence[Path], options: Any, output: str | None, *, r
             _write(folder / "loops.png", picture)
         findings = [*check_campaign(campaign), *made.doubts]
         for id, path in write_pictures(campaign, findings, folder / "figures"):
-            print(f"{id}: the picture {path} marks what is doubted")
+            print(f"{id}: the picture {path} marks the doubtful samples")
     except OSError as error:
         raise UserError(f"{folder}: cannot be written ({error.strerror}); choose another --output") from None
     return study
@@ -220,7 +220,7 @@ def _study_of_campaign(folder: Path, options: Any) -> Path:
 
 
 def _study_of_project(folder: Path, options: Any) -> Path:
-    """The campaign of a project as a folder of its own, with the study of the project, or with a new one."""
+    """The campaign of a project as a separate folder, with the study of the project, or with a new one."""
     from hsed_jax.runs.projects import read_designsafe, unpack
 
     output = Path(options.output) if options.output else folder.with_name(f"{folder.resolve().name}_campaign")
@@ -239,10 +239,10 @@ def _study_of_project(folder: Path, options: Any) -> Path:
 
 
 def _tell_findings(campaign: "Campaign", where: str, doubts: "Sequence[Finding]" = ()) -> None:
-    """Print what the checks find, and further doubts.
+    """Print the findings of the checks, and further doubts.
 
     Raises:
-        UserError: there is an error among it.
+        UserError: an error is among them.
     """
     from hsed_jax.measurements import check_campaign
 
@@ -279,7 +279,7 @@ def _frame(options: Any) -> Any:
 
 
 def _model(options: Any, campaign: "Campaign") -> list[str]:
-    """The lines of the model that was asked for; none of a spring law."""
+    """The lines of the requested model; empty for a spring law."""
     if options.model is None:
         return []
     from hsed_jax.study.first_material import material_lines

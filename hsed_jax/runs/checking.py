@@ -15,22 +15,22 @@ from hsed_jax.study.unit_doubts import unit_doubts
 
 
 def check_study(study: Study, path: Path, *, predict: bool = False, worth: str | None = None) -> None:
-    """Build a study, print what is wrong or doubtful of it and its data, and draw what is doubted.
+    """Build a study, print the errors and doubts of the study and its data, and draw the doubted records.
 
     Arguments:
-        study: what the user said.
+        study: of the user.
         path: its file; the pictures go into the folder `figures` beside it.
         predict: simulate the model all over its priors, and print which data they exclude.
-        worth: folder of a campaign of earlier experiments; print what they tell about those that the study plans.
+        worth: folder of a campaign of earlier experiments; print their information about the planned experiments.
 
     Raises:
         UserError: the study cannot be run, the data have errors, or there is nothing measured to compare a prediction with.
     """
     built = Built(study)
-    _ = built.mechanics.catalogue  # effects of its own, which may be wrong, come before the data
+    _ = built.mechanics.catalogue  # the study's own effects may have faults, so they come before the data
     measured = built.experiments.measured
     accepted = study.measurements.accepted(measured)
-    # Before any computation from the data, because a time that is no number has no steps.
+    # Before any computation from the data, because a time that is not a number has no steps.
     findings = [] if measured is None else check_campaign(measured)
     _tell(findings, accepted)
     if any(finding.level == "error" for finding in findings):
@@ -50,7 +50,7 @@ def check_study(study: Study, path: Path, *, predict: bool = False, worth: str |
     if predict:
         if measured is None:
             raise UserError("--predict compares predictions with measurements; give experiments.campaign")
-        # A check without it samples nothing, and does not wait for what does.
+        # A check without it does not sample, and does not load the samplers.
         from hsed_jax.analysis.prior_prediction import prior_sentences
 
         for sentence in prior_sentences(built.inference, measured):
@@ -66,15 +66,17 @@ def check_study(study: Study, path: Path, *, predict: bool = False, worth: str |
 
 
 def _tell(findings: Sequence[Finding], accepted: Set[tuple[str, str]]) -> None:
-    """Print what was found, and what of it the study accepts."""
+    """Print the findings, and those that the study accepts."""
     for finding in findings:
         print(f"{finding.line} (accepted)" if (finding.experiment, finding.kind) in accepted else finding)
 
 
 def _draw(campaign: Campaign, findings: Sequence[Finding], folder: Path) -> None:
-    """Write pictures of the doubted records and name them; a folder that cannot be written is no fault of the data."""
+    """Write pictures of the doubted records and print their names; a folder that cannot be written is not an error of
+    the data.
+    """
     try:
         for id, file in write_pictures(campaign, findings, folder):
-            print(f"{id}: the picture {file} marks what is doubted")
+            print(f"{id}: the picture {file} marks the doubtful samples")
     except UserError as error:
         print(f"warning: {error}", file=sys.stderr)

@@ -1,7 +1,7 @@
-"""The conduct of a design: questions, answers, and the journal that holds both.
+"""The conduct of a design: requests, answers, and the journal of both.
 
-The run's loop, `hsed ask` and `hsed tell` are three callers of one object.  Every event is on the disk before anything relies on
-it, and replaying the journal gives the same state to the last bit, in one process or in many.
+The run's loop, `hsed ask` and `hsed tell` are three callers of one object.  Every event is on the disk before it is used. A
+replay of the journal gives the same state to the last bit, in one process or in many.
 """
 
 import time
@@ -29,7 +29,7 @@ _DRAWS = 64
 """Draws of the parameters that are kept with each step; enough for bands."""
 _STEP = ("cube", "max_expected_improvement", "acquisition", "map", "posterior", "draws", "divergences", "log_evidence",
          "discrepancy", "kriging", "state")  # fmt: skip
-"""What further steps and the results rely on in a step of the journal."""
+"""The entries of a step in the journal that further steps and the results need."""
 
 
 class Asked(NamedTuple):
@@ -50,16 +50,16 @@ class Asked(NamedTuple):
 
 
 class Conduct:
-    """A design as it is being conducted.
+    """A design in progress.
 
     Arguments:
         built: the study.
-        store: the run folder; what its journal holds is taken up.
+        store: the run folder; its journal is replayed.
 
     Attributes:
-        campaign: the experiments in the order of asking or telling, pending ones included.
+        campaign: the experiments in the order of their requests or reports, pending ones included.
         state: of the design; its trials are the experiments of the campaign, in the same order.
-        steps: what each step of the design found, as in the journal.
+        steps: results of each step of the design, as in the journal.
     """
 
     def __init__(self, built: Built, store: RunFolder):
@@ -74,19 +74,19 @@ class Conduct:
 
     @property
     def pending(self) -> list[str]:
-        """Experiments that were asked and of which nothing was told yet."""
+        """Requested experiments without a report."""
         return [e.id for e in self.campaign if e.status == "pending"]
 
     @property
     def most_out(self) -> int | None:
-        """How many experiments can be out before something is told; None where the design can choose further ones."""
+        """Largest number of pending experiments; None if the design can choose further ones."""
         left = len(self._initial) - len(self.campaign)
         can_choose = int(self.state.is_measured.sum()) >= self.design.least or not self.built.study.design.iterations
         return None if left <= 0 or can_choose else len(self.pending) + left
 
     @property
     def stop_reason(self) -> str | None:
-        """Why no further experiment is to be asked: `iterations` or the name of a stop rule; None while one is."""
+        """The reason why the design is complete: `iterations` or the name of a stop rule; None while one is."""
         if not self._asked_initial:
             return None
         if self._chosen is None and len(self.steps) >= self.built.study.design.iterations:
@@ -101,7 +101,7 @@ class Conduct:
         """The next experiment: of the initial design, or chosen by a step of the design.
 
         Raises:
-            UserError: the design cannot go on: too few experiments gave something to use, or no candidate is left.
+            UserError: the design cannot continue: too few experiments have usable results, or no candidate is left.
         """
         number = len(self.campaign)
         if number < len(self._initial):
@@ -114,7 +114,7 @@ class Conduct:
         return self._ask(name, self.design.space.point(cube))
 
     def ask_again(self, id: str) -> Asked:
-        """Ask an experiment that failed once more.
+        """Request a failed experiment again.
 
         Raises:
             UserError: there is no such experiment, or it did not fail.
@@ -125,7 +125,7 @@ class Conduct:
         return self._ask(id, trial.point)
 
     def request(self, id: str) -> Asked:
-        """An experiment as it is to be performed.
+        """A requested experiment.
 
         Raises:
             UserError: there is no such experiment.
@@ -134,19 +134,19 @@ class Conduct:
         return Asked(id, self._row(id), self._attempts[id], point.declared, point.si)
 
     def tell(self, id: str, measured: Measured, inputs: Mapping[str, float] | None = None) -> None:
-        """Take what was measured.
+        """Record the measurements of an experiment.
 
         Arguments:
-            id: of the experiment; one that was not asked needs `inputs` and is welcome.
-            measured: what the laboratory hands over.
-            inputs: as tested, in declared units, where they differ from those that were asked.
+            id: of the experiment; an unrequested one needs `inputs` and is welcome.
+            measured: results of the laboratory.
+            inputs: as tested, in declared units, if they differ from the requested ones.
 
         Raises:
-            UserError: the experiment is unknown, completed or abandoned already, or what is told does not fit the study.
+            UserError: the experiment is unknown, already completed or abandoned, or the report does not fit the study.
         """
         point = self.settling(id, inputs)
         self._take(point, Experiment(id, point.si, record=measured.record, quantities=measured.quantities))
-        # The record is on the disk before the journal says that it is.
+        # The record is on the disk before the journal names it.
         write_experiment(self.campaign, id, self.store.campaign)
         self.store.record("performed", **_about(id, point), quantities=measured.quantities)
 
@@ -159,14 +159,14 @@ class Conduct:
         record: Record | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> None:
-        """Say that an experiment failed (it may be asked again), or that it is abandoned (it never is).
+        """Record a failed experiment (it may be requested again), or an abandoned one (it is never requested again).
 
         Arguments:
             id: of the experiment.
             reason: why.
             abandon: never to be asked again.
-            record: what was measured until then; kept, and not fitted.
-            inputs: as tested, in declared units, where they differ from those that were asked.
+            record: measurements until then; kept, and not fitted.
+            inputs: as tested, in declared units, if they differ from the requested ones.
 
         Raises:
             UserError: the experiment is unknown, or completed or abandoned already.
@@ -216,13 +216,13 @@ class Conduct:
         return chosen
 
     def choose(self) -> None:
-        """Make the step of the design that chooses the next experiment, where one is due and not made yet."""
+        """Make the step of the design that chooses the next experiment, if it is due and not made yet."""
         if self._asked_initial and self._chosen is None and self.stop_reason is None:
             self._step()
 
     @property
     def draws(self) -> np.ndarray:
-        """Parameters of the model as they are known now, SI, (n, p): of the posterior of the last step, else of the prior."""
+        """Draws of the parameters of the model, SI, (n, p): from the posterior of the last step, otherwise from the prior."""
         if self.steps:
             return np.asarray(self.steps[-1]["draws"])[:, : len(self.built.inference.posterior.model_names)]
         priors = self.built.mechanics.parameters[0].values()
@@ -231,13 +231,13 @@ class Conduct:
             [np.asarray(p.distribution.sample(k, (_DRAWS,))) for p, k in zip(priors, keys, strict=True)], axis=1
         )
 
-    # What is known of the experiments.
+    # The results of the experiments.
 
     def settling(self, id: str, inputs: Mapping[str, float] | None) -> Point:
-        """The point of an experiment of which something is told: as asked, or as tested.
+        """The point of a reported experiment: as requested, or as tested.
 
         Raises:
-            UserError: nothing may be told of it, or its inputs are not those of the study.
+            UserError: a report is not allowed, or its inputs are not those of the study.
         """
         if id in self.campaign and self._trial(id).status not in ("pending", "failed"):
             raise UserError(f"experiment {id} is {self._trial(id).status} already")
@@ -268,7 +268,7 @@ class Conduct:
         return self.request(id)
 
     def _expect(self, id: str, point: Point) -> None:
-        """Count an experiment as asked."""
+        """Count an experiment as requested."""
         self._take(point, Experiment(id, point.si, status="pending"))
         self._attempts[id] += 1
         self._chosen = None
@@ -279,17 +279,17 @@ class Conduct:
         self.campaign = self.campaign.add(experiment) if is_new else self.campaign.update(experiment)
         outputs = np.full(self.built.inference.observation.groups.size, np.nan)
         if experiment.status == "completed":
-            # As the campaign holds it: its files give the same numbers back, to the last bit.
+            # As in the campaign, whose files give the same numbers to the last bit.
             outputs = self.built.inference.observation.measured(self.campaign[experiment.id])
             if not np.isfinite(outputs).any():
                 raise UserError(f"experiment {experiment.id}: nothing that the study observes was measured")
         self.state = self.design.tell(self.state, point.cube.tolist(), outputs.tolist(), experiment.status, row)
 
     def _replay(self) -> None:
-        """Go through the journal.
+        """Replay the journal.
 
         Raises:
-            UserError: it is damaged, or has lost experiments that would be performed once more.
+            UserError: it is damaged, or lacks experiments that would be performed again.
         """
         events = self.store.events()
         is_kept = (self.store.campaign / "campaign.yaml").exists()
@@ -305,12 +305,14 @@ class Conduct:
             try:
                 self._take_up(event, records)
             except (AttributeError, KeyError, TypeError, ValueError, IndexError) as error:
-                raise self.store.damaged(f"line {number} is no whole event ({type(error).__name__}: {error})") from None
+                raise self.store.damaged(
+                    f"line {number} is not a complete event ({type(error).__name__}: {error})"
+                ) from None
         if len(self.campaign):
             write_campaign(self.campaign, self.store.campaign)
 
     def _take_up(self, event: dict[str, Any], records: Campaign | None) -> None:
-        """Take one event of the journal."""
+        """Apply one event of the journal."""
         kind = event["event"]
         if kind == "step":
             for key in _STEP:
@@ -339,5 +341,5 @@ class Conduct:
 
 
 def _about(id: str, point: Point) -> dict[str, Any]:
-    """An experiment as the journal has it."""
+    """An entry of an experiment in the journal."""
     return {"experiment": id, "inputs": point.declared, "cube": point.cube.tolist()}

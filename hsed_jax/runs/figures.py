@@ -28,20 +28,20 @@ from hsed_jax.runs.illustrations import (
 from hsed_jax.runs.outcome import Outcome
 
 Tables = Mapping[str, xr.Dataset]
-"""What `hsed_jax.runs.illustrations` made, by group."""
+"""The results of `hsed_jax.runs.illustrations`, by group."""
 
 
 def draw(
     outcome: Outcome, tables: Tables, folder: Path, left_out: LeftOut, report: Callable[[str], None] = lambda name: None
 ) -> None:
-    """Write every figure that there is material for, as PNG and SVG.
+    """Write every figure that has data, as PNG and SVG.
 
     Arguments:
-        outcome: what the run has come to.
-        tables: what was computed for the figures alone.
-        folder: where to.
-        left_out: notes what cannot be drawn.
-        report: hears the name of each.
+        outcome: of the run.
+        tables: data for the figures alone.
+        folder: of the figures.
+        left_out: notes the figures that cannot be drawn.
+        report: receives the name of each.
     """
     groups: dict[str, Callable[[], Iterator[Drawing]]] = {
         "design": partial(_design_drawings, outcome, tables),
@@ -111,7 +111,7 @@ def _misfit_drawings(outcome: Outcome, tables: Tables) -> Iterator[Drawing]:
 
 
 def diagnosis_drawings(outcome: Outcome) -> Iterator[Drawing]:
-    """Every figure of the diagnosis and the improvement that there is material for."""
+    """Every figure of the diagnosis and the improvement that has data."""
     diagnosis, trail = outcome.diagnosis, outcome.trail
     if diagnosis is not None and diagnosis.behaviour.curves:
         yield "behaviour", partial(behaviour_figures.behaviour, diagnosis.behaviour)

@@ -1,7 +1,7 @@
 """The run folder: the only module that knows its layout.
 
-The journal is append-only and on the disk before anything relies on it, so that a run killed at any moment loses nothing that
-was measured.  Everything else in the folder can be made again from it.
+The journal is append-only, and an event is on the disk before it is used. A run that is killed at any moment therefore loses
+no measurements. All other files can be made again from the journal.
 """
 
 import fcntl
@@ -52,23 +52,23 @@ class RunFolder:
     Arguments:
         path: of the folder.
         study: the study with every default written out.
-        resume: go on with what is there.
-        force: throw away what the run in it left.
+        resume: continue the existing run.
+        force: delete the files of the run in it.
 
     Raises:
-        UserError: the folder exists and neither was said, it holds a symbolic link where a run writes, or it belongs to another
-            study or another running process.
+        UserError: the folder exists and neither was given, it holds a symbolic link where a run writes, or it belongs to
+            another study or another running process.
     """
 
     def __init__(self, path: str | Path, study: Mapping[str, Any], *, resume: bool = False, force: bool = False):
         self.path = Path(path)
         try:
             occupied = self.path.exists() and (not self.path.is_dir() or any(map(_is_content, self.path.iterdir())))
-            # A study alone is no sign of a run, because `hsed init` writes one beside the measurements.  Nor is a lock, because
-            # sweeps have one.
+            # A study alone does not show a run, because `hsed init` writes one beside the measurements.  A lock
+            # does not show a run, either, because sweeps have one.
             begun = (self.path / "study.yaml").exists() and (self.path / ".lock").exists()
             if occupied and not (begun or self._journal.exists() or self._provenance.exists()):
-                raise UserError(f"{self.path} exists and is no run folder; choose another --output")
+                raise UserError(f"{self.path} exists and is not a run folder; choose another --output")
             if resume and not self.path.exists():
                 raise UserError(f"{self.path}: there is no run to resume; leave out --resume to start one")
             if occupied and not (resume or force):
@@ -100,7 +100,7 @@ class RunFolder:
         self._lock.close()
 
     def record(self, event: str, **content: Any) -> None:
-        """Append an event to the journal and see it onto the disk; a number that is not finite is written as null."""
+        """Append an event to the journal and flush it to the disk; a number that is not finite is written as null."""
         line = json.dumps(_with_null({"event": event, **content}), allow_nan=False)
         with extend(self._journal) as journal:
             journal.write(f"{line}\n".encode())
@@ -134,14 +134,14 @@ class RunFolder:
         return event
 
     def damaged(self, how: str) -> UserError:
-        """What to say of a journal that cannot be gone on from, and what can be done."""
+        """Message for an unusable journal, with the remedies."""
         return UserError(
-            f"{self._journal}: {how}; restore it from a copy, or begin another run and let it take the experiments: "
+            f"{self._journal}: {how}; restore it from a copy, or begin another run and add the experiments: "
             f"hsed tell STUDY.yaml --output DIR --campaign {self.campaign}"
         )
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
-        """Keep what a calculation has reached, in place of what it kept before."""
+        """Store the state of a calculation, instead of its earlier state."""
         self._reached.mkdir(exist_ok=True)
         unfinished = self._reached / f"{name}.part"
         with create(unfinished) as file:
@@ -149,7 +149,7 @@ class RunFolder:
         unfinished.replace(self._reached / f"{name}.npz")
 
     def recall(self, name: str) -> list[np.ndarray] | None:
-        """What a calculation has kept; None where that was nothing, or cannot be read any more."""
+        """The stored state of a calculation; None without one, or if it cannot be read."""
         path = self._reached / f"{name}.npz"
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
@@ -158,7 +158,7 @@ class RunFolder:
             return None
 
     def write_summary(self, summary: Mapping[str, Any]) -> None:
-        """Write `summary.json`: numbers are numbers, what is not finite is left out."""
+        """Write `summary.json`: numbers that are not finite are left out."""
         text = json.dumps(_finite(summary), indent=2, ensure_ascii=False, allow_nan=False)
         write_whole(self.path / "summary.json", text + "\n")
 
@@ -196,7 +196,7 @@ class RunFolder:
         return self.path / "improved.yaml"
 
     def finish(self) -> None:
-        """Note when the run ended; what its calculations had reached is in its results now."""
+        """Record the end of the run, and delete intermediate states, which the results replace."""
         shutil.rmtree(self._reached, ignore_errors=True)
         end_session(self._provenance)
 
@@ -224,7 +224,7 @@ class RunFolder:
         return lock
 
     def _refuse_links(self) -> None:
-        """Refuse a folder in which a link leads what is written elsewhere; a record in `laboratory` is read alone."""
+        """Refuse a folder with a link that redirects written files; a record in `laboratory` is read alone."""
         drafts = [path.name for path in self.path.glob("*.part")]
         link = first_link(self.path, [".lock", *drafts, *(name for name in _OF_A_RUN if name != "laboratory")])
         link = link or next((path for path in (self.laboratory, *self.laboratory.glob("*")) if path.is_symlink()), None)
@@ -252,15 +252,15 @@ class RunFolder:
 
 
 def laboratory_folder(path: str | Path) -> Path:
-    """The folder of a run in which its laboratory works; known before there is a run."""
+    """The working folder of the laboratory of a run; known before the run exists."""
     return Path(path) / "laboratory"
 
 
 def write_page(page: str, path: str | Path) -> None:
-    """Write a page of several runs; replaces only a page of ours.
+    """Write a page of several runs; this replaces only a page of this package.
 
     Raises:
-        UserError: the file is something else, or cannot be written.
+        UserError: the existing file is not such a page, or the page cannot be written.
     """
     from hsed_jax.reporting.page import GENERATOR
 
@@ -268,7 +268,7 @@ def write_page(page: str, path: str | Path) -> None:
     if path.exists() and (
         not path.is_file() or GENERATOR not in path.read_text(encoding="utf-8", errors="replace")[:2000]
     ):
-        raise UserError(f"{path} exists and is no report; choose another --output")
+        raise UserError(f"{path} exists and is not a report; choose another --output")
     try:
         write_whole(path, page)
     except OSError as error:
@@ -303,5 +303,5 @@ def _with_nan(value: Any) -> Any:
 
 
 def _is_content(path: Path) -> bool:
-    """Whether a file of a run folder holds anything: a run killed in its first moments leaves a lock and a draft."""
+    """Whether a file of a run folder has content: a run that is killed in its first moments leaves a lock and a draft."""
     return path.name != ".lock" and path.suffix != ".part"

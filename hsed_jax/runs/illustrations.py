@@ -19,18 +19,18 @@ ESTIMATES_ALONE = "illustrations/estimates_alone"
 ERROR_MAP = "illustrations/error_map"
 SPECIMEN, MODEL, MODEL_AT_TRUTH = (f"illustrations/responses/{of}" for of in ("specimen", "model", "model_at_truth"))
 _AT = (0.5, 0.85, 0.3)
-"""Where responses are shown: in the middle of the inputs' distributions, and at two quantiles far apart."""
+"""Inputs of the shown responses: the middle of the distributions of the inputs, and two distant quantiles."""
 
 
 def illustrations(
     outcome: Outcome, left_out: LeftOut, report: Callable[[str], None] = lambda name: None
 ) -> dict[str, xr.Dataset]:
-    """Compute what the outcome has the material for.
+    """Compute all illustrations that the outcome allows.
 
     Arguments:
-        outcome: what the run has come to.
-        left_out: notes what cannot be computed.
-        report: hears the name of each group before it is made.
+        outcome: of the run.
+        left_out: notes the tables that cannot be computed.
+        report: receives the name of each group before it is made.
     """
     made = {}
     for name, compute in _computations(outcome):
@@ -54,7 +54,9 @@ def _computations(outcome: Outcome) -> Iterator[tuple[str, Callable[[], xr.Datas
 
 
 def _responses(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tuple[str, Callable[[], xr.Dataset]]]:
-    """The specimen, the calibrated model, and, where the model differs by effects alone, that with the specimen's parameters."""
+    """The specimen, the calibrated model, and, if the model differs only by effects, the model with the parameters of
+    the specimen.
+    """
     space, model, simulator = outcome.space, outcome.model, laboratory.simulator
     cube = np.repeat(np.asarray(_AT)[:, None], len(space.names), axis=1)
     channels, pair = of_each(model.owners, CHANNELS), outcome.campaign.pair
@@ -65,7 +67,8 @@ def _responses(outcome: Outcome, laboratory: VirtualLaboratory) -> Iterator[tupl
         yield SPECIMEN, lambda: responses(simulator, laboratory.parameters, space, cube, channels, pair)
     if same is not None:
         of_effects = tuple(f"{effect}." for effect in simulator.effects)
-        # What the model holds at the same value is a part of its program, as in the calibrated one: they are the same.
+        # Fixed parameters of the model are constants of its program, as in the calibrated model, so that both share the
+        # program.
         held = dict(same.constants)
         truth = {n: v for n, v in laboratory.parameters.items() if not n.startswith(of_effects) and held.get(n) != v}
         yield MODEL_AT_TRUTH, lambda: responses(same, truth, space, cube[:1], channels, pair)

@@ -53,7 +53,7 @@ def _on_campaign(study: Study, content: dict[str, Any], campaign: str) -> dict[s
 
 
 def _with_comments(text: str, where: str, campaign: str) -> str | None:
-    """The text with the path of its campaign replaced; None where that changes anything else."""
+    """The text with the path of its campaign replaced; None if this changes anything else."""
     before = parse_yaml(text, where)
     if not isinstance(before, dict) or "campaign" not in (before.get("experiments") or {}):
         return None
@@ -63,7 +63,7 @@ def _with_comments(text: str, where: str, campaign: str) -> str | None:
 
 
 def _relative(value: Any, where: str, named: dict[str, Path]) -> Any:
-    """A value of a study whose paths are absolute, with names of files in their place; the files by these names."""
+    """A value of a study with names of files instead of absolute paths; the files by these names."""
     if isinstance(value, dict):
         return {key: _relative(item, where, named) for key, item in value.items()}
     if isinstance(value, list):

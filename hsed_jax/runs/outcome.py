@@ -39,14 +39,14 @@ class Outcome:
         campaign: the experiments.
         space: of the inputs.
         design: the sequential design, and its state, steps (as in the journal) and reason to stop, where it ran.
-        drift: how far its estimates are from those over all inputs; None before its end.
+        drift: the difference between its estimates and those over all inputs; None before its end.
         fit, comparison, location, diagnosis: results of the steps that ran.
         remaining: where the model with the named effects still fails.
         improved_location: where the improved model does.
-        discovery: what was learned that the catalogue does not hold.
+        discovery: the learned effect that is not in the catalogue.
         trail, improved, improved_comparison: the fall of the error, the improved model, and how far it is from the
             measurements.
-        scales: characteristic values that amplitudes of effects are relative to; None where there are no effects.
+        scales: characteristic values that amplitudes of effects are relative to; None without effects.
     """
 
     study: str
@@ -78,12 +78,12 @@ class Outcome:
 
     @property
     def truth(self) -> Mapping[str, float]:
-        """The parameters of the virtual specimen, SI; empty where there is none."""
+        """The parameters of the virtual specimen, SI; empty without one."""
         return {} if self.laboratory is None else self.laboratory.parameters
 
     @property
     def improvements(self) -> list[float]:
-        """The largest expected improvement of every step of the design, as it is shown."""
+        """The displayed largest expected improvement of every step of the design."""
         return told([step["max_expected_improvement"] for step in self.steps])
 
     @property
@@ -158,7 +158,7 @@ def summary(outcome: Outcome) -> dict[str, Any]:
 
 
 def _references(outcome: Outcome) -> dict[str, str]:
-    """Of the model, of the effects that are named and of those added, by name."""
+    """References of the model, of the named effects and of the added ones, by name."""
     named = [] if outcome.diagnosis is None else outcome.diagnosis.effects
     used = named + (
         [] if outcome.trail is None else [effect for step in outcome.trail.steps for effect in step.effects]
@@ -167,7 +167,7 @@ def _references(outcome: Outcome) -> dict[str, str]:
 
 
 def _drift(outcome: Outcome) -> dict[str, Any]:
-    """The estimates over all inputs, and what is to be said of them, once a design has ended."""
+    """The estimates over all inputs, and the warning about them, after the end of a design."""
     if outcome.drift is None:
         return {}
     said = outcome.drift.sentence(outcome.units)
@@ -175,13 +175,13 @@ def _drift(outcome: Outcome) -> dict[str, Any]:
 
 
 def _levels(fit: Fit) -> dict[str, Any]:
-    """What varies between specimens, where anything does."""
+    """The parameters that vary between specimens, if any."""
     found = fit.levels()
     return {"levels": found} if found else {}
 
 
 def _doubts(fit: Fit) -> dict[str, Any]:
-    """Which estimates lean on bounds, what is wrong with the draws, and what the model leaves, as far as it can be said."""
+    """Estimates on bounds, faults of the draws, and the residual of the model, as far as they are known."""
     said = {
         "caution": fit.caution,
         "at_bounds": [one.summary() for one in fit.leaning] or None,

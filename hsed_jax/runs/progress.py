@@ -24,11 +24,11 @@ class Progress(Watch):
 
     Arguments:
         step: its name.
-        show: on the standard error; where that is no terminal, now and then.
-        store: the run folder; without one nothing is kept.
+        show: on the standard error; if it is not a terminal, from time to time.
+        store: the run folder; without one nothing is stored.
 
     Attributes:
-        leading: what leads so far, in the words of `summary.json`.
+        leading: the best result so far, in the words of `summary.json`.
     """
 
     def __init__(self, step: str, show: bool, store: RunFolder | None = None):
@@ -49,13 +49,13 @@ class Progress(Watch):
         self._bar.close()
 
     def report(self, what: str) -> None:
-        """Show what is being done."""
+        """Show the current activity."""
         if not self._bar.disable:
             self._bar.bar_format = _PLAIN
             self._bar.set_description_str(f"{self._step}: {what}")
 
     def count(self, done: int, total: int) -> None:
-        """Show how much of it is done, and the time it is likely to take yet."""
+        """Show the completed share, and the estimated remaining time."""
         if self._bar.disable:
             return
         if self._bar.bar_format == _PLAIN or total != self._bar.total or done < self._bar.n:
@@ -72,7 +72,7 @@ class Progress(Watch):
             self._bar.set_postfix_str(f"so far {named}: error {before:.3f} -> {after:.3f}")
 
     def fitted(self, predicted: np.ndarray, data: Data, groups: np.ndarray) -> None:
-        """Say the error of the most probable parameters: whoever waits for it need not wait for the draws."""
+        """Print the error of the most probable parameters before the draws are made."""
         if not self._bar.disable:
             count = int(data.count)
             used = np.asarray(data.weights)[:count] > 0
@@ -83,12 +83,12 @@ class Progress(Watch):
             )
 
     def keep(self, name: str, arrays: Sequence[np.ndarray]) -> None:
-        """Keep what was reached in the run folder."""
+        """Store a state in the run folder."""
         if self._store is not None:
             self._store.keep(name, arrays)
 
     def recall(self, name: str) -> list[np.ndarray] | None:
-        """What an earlier session of the run reached."""
+        """The state that an earlier session of the run stored."""
         return None if self._store is None else self._store.recall(name)
 
     def _tick(self) -> None:

@@ -34,7 +34,7 @@ class Kind(NamedTuple):
     """A type of project.
 
     Attributes:
-        levels: from the tests as a whole to one test; the model and the sensors stand between.
+        levels: from the tests as a whole to one test; the model and the sensors are between them.
         model, sensors: places of these among the levels.
         analysis, report: names of these.
     """
@@ -112,7 +112,7 @@ def read_designsafe(folder: str | Path) -> Project:
     folder = Path(folder)
     path = folder / METADATA
     if not is_project(folder):
-        raise UserError(f"{folder} is no project of DesignSafe: {METADATA} is missing")
+        raise UserError(f"{folder} is not a project of DesignSafe: {METADATA} is missing")
     tree = mapping(path, "name", "value", "children")
     kind = KINDS.get(str(tree["value"].get("projectType")) if isinstance(tree["value"], dict) else "")
     if kind is None:
@@ -120,7 +120,7 @@ def read_designsafe(folder: str | Path) -> Project:
     declaration = _file(folder, tree, kind.levels[kind.sensors].name, "campaign.yaml")
     if declaration is None:
         raise UserError(
-            f"{path}: no {kind.levels[kind.sensors].name} has a file campaign.yaml, which says what the channels are; give the "
+            f"{path}: no {kind.levels[kind.sensors].name} has a file campaign.yaml, which declares the channels; give the "
             "files of the records themselves: hsed init FILE"
         )
     study = _file(folder, tree, kind.levels[kind.model].name, "study.yaml")
@@ -128,7 +128,7 @@ def read_designsafe(folder: str | Path) -> Project:
 
 
 def unpack(project: Project, folder: Path) -> Path | None:
-    """Write the campaign of a project as a folder of its own, and its study into it.
+    """Write the campaign of a project as a separate folder, and its study into it.
 
     Returns:
         The study; None where the project has none.
@@ -160,7 +160,7 @@ def _file(folder: Path, node: Any, entity: str, name: str) -> Path | None:
 
 
 def _values(node: Any, entity: str) -> list[dict[str, Any]]:
-    """What is said of all entities of a kind."""
+    """The metadata of all entities of a kind."""
     if not isinstance(node, dict):
         return []
     own = [node["value"]] if node.get("name") == entity and isinstance(node.get("value"), dict) else []

@@ -32,7 +32,7 @@ class Machine(BaseModel):
 
 
 class Session(BaseModel):
-    """From a start or resume to the end; none where it was stopped."""
+    """From a start or resume to the end; no end if it was stopped."""
 
     start: str
     end: str | None = None
@@ -50,7 +50,7 @@ class Provenance(BaseModel):
 
 
 def begin_session(path: Path, seed: int | None) -> None:
-    """Note that a session of a run begins.
+    """Record the start of a session of a run.
 
     Raises:
         UserError: what is there is damaged.
@@ -72,7 +72,7 @@ def begin_session(path: Path, seed: int | None) -> None:
 
 
 def end_session(path: Path) -> None:
-    """Note that the last session came to its end.
+    """Record the end of the last session.
 
     Raises:
         UserError: what is there is damaged.
@@ -92,7 +92,7 @@ def read_provenance(path: Path) -> Provenance:
         return Provenance.model_validate_json(path.read_bytes())
     except (OSError, ValueError):
         raise UserError(
-            f"{path}: it is damaged; delete it, and say --resume to go on without its record of earlier sessions"
+            f"{path}: it is damaged; delete it, and say --resume to continue without its record of earlier sessions"
         ) from None
 
 
@@ -101,7 +101,7 @@ def _write(path: Path, content: Provenance) -> None:
 
 
 def _git_state() -> Git | None:
-    """Commit of the package's own checkout and whether it was changed; None where it is no checkout."""
+    """Commit of the package's own checkout and whether it was changed; None if it is not a checkout."""
     here = Path(__file__).parent
     if not (here.parent / ".git").exists():
         return None

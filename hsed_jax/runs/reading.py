@@ -1,4 +1,4 @@
-"""A run folder read back, whether complete, damaged, or somebody else's."""
+"""Reading of a run folder, which may be damaged or from another person."""
 
 import json
 from collections.abc import Iterator
@@ -21,14 +21,14 @@ _LEAST_BYTES, _MOST_UNPACKED = 2**24, 8
 
 
 def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedRun":
-    """Read back what a run folder holds.
+    """Read a run folder.
 
     Arguments:
         path: of the folder.
-        known: what `results.nc` holds, from who has just written it: to read it back takes a second.
+        known: content of `results.nc`, if it was just written: reading it takes a second.
 
     Raises:
-        UserError: there is no run, it has come to nothing yet, or a file is damaged.
+        UserError: there is no run, it has no results yet, or a file is damaged.
 
     Example:
         >>> run = hx.read_run("runs/wall")
@@ -39,7 +39,9 @@ def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedR
 
     folder = Path(path)
     if not (folder / "study.yaml").is_file():
-        raise UserError(f"{folder} is no run folder; a run is made by: hsed run STUDY.yaml --output {folder}")
+        raise UserError(
+            f"{folder} is not a run folder; this command makes a run: hsed run STUDY.yaml --output {folder}"
+        )
     if not (folder / "summary.json").is_file():
         raise UserError(
             f"{folder}: the run has no results yet; go on with it: hsed run STUDY.yaml --output {folder} --resume"
@@ -60,19 +62,19 @@ def read_run(path: str | Path, known: "xr.DataTree | None" = None) -> "FinishedR
 
 @contextmanager
 def holding(path: str | Path) -> Iterator[None]:
-    """Within, what is made of the files of a run fails in one message where they do not hold what a run writes.
+    """A context in which unexpected content of the files of a run causes one message.
 
     Raises:
-        UserError: they do not; with what was missed in them.
+        UserError: with the missing content.
     """
     try:
         yield
     except (OSError, UserError):
         raise
-    except Exception as error:  # a number in place of a list can lead to anything
+    except Exception as error:  # a number instead of a list can cause any exception
         said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         raise UserError(
-            f"{path}: its files do not hold what this version of a run writes ({said}); restore summary.json and results.nc from "
+            f"{path}: its files are not those of this version of a run ({said}); restore summary.json and results.nc from "
             "a copy, or make them again: hsed run STUDY.yaml --resume"
         ) from error
 
@@ -94,9 +96,9 @@ def _tree(results: Path) -> "xr.DataTree":
         if declared > _LEAST_BYTES + _MOST_UNPACKED * results.stat().st_size:
             raise ValueError(f"{declared} bytes are declared in a file of {results.stat().st_size}")
         return xr.load_datatree(results, engine="h5netcdf")
-    except Exception as error:  # HDF5 and its readers raise whatever damaged bytes lead to
+    except Exception as error:  # HDF5 and its readers raise any exception on damaged bytes
         said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise UserError(f"{results}: this is no file of results ({said}); restore it from a copy") from None
+        raise UserError(f"{results}: this is not a file of results ({said}); restore it from a copy") from None
 
 
 def _text(path: Path) -> str:
@@ -119,6 +121,6 @@ def mapping(path: Path, *keys: str) -> dict[str, Any]:
         content = None
     if not isinstance(content, dict) or any(key not in content for key in keys):
         raise UserError(
-            f"{path}: it is damaged: a mapping of {', '.join(keys) or 'keys'} is wanted; restore it from a copy"
+            f"{path}: it is damaged: it must be a mapping of {', '.join(keys) or 'keys'}; restore it from a copy"
         )
     return content

@@ -28,7 +28,7 @@ from hsed_jax.runs.conduct import Asked, Conduct
 from hsed_jax.study.build import Built
 
 BAND = (0.05, 0.5, 0.95)
-"""Quantiles of what is expected, over the parameters as they are known."""
+"""Quantiles of the expected response over the draws of the parameters."""
 
 Columns = Mapping[str, Any] | pd.DataFrame
 
@@ -72,7 +72,7 @@ class Requests:
     """Requests and answers of a design.
 
     Attributes:
-        conduct: the design as it is being conducted.
+        conduct: the design in progress.
     """
 
     conduct: Conduct
@@ -83,11 +83,11 @@ class Requests:
         return self.conduct.built
 
     def folder(self, id: str) -> Path:
-        """Where the request of an experiment lies and its measurements are left."""
+        """The folder of the request and the measurements of an experiment."""
         return self.conduct.store.laboratory / f"{id}-{self.conduct.request(id).attempt}"
 
     def expected(self, asked: Asked) -> Expected:
-        """What the model expects of an experiment, as its parameters are known now.
+        """The expected response of the model, for the current knowledge of its parameters.
 
         Raises:
             UserError: every simulation diverges.
@@ -121,7 +121,7 @@ class Requests:
         return replace(self.built.site.programme.request(number, si), id=id)
 
     def write(self, asked: Asked) -> None:
-        """Write a request, where it is not there already."""
+        """Write a request, unless it exists."""
         folder = self.folder(asked.id)
         if (folder / "request.json").is_file():
             return
@@ -145,10 +145,10 @@ class Requests:
         self._request(asked.id, asked.si, asked.number).write(folder, sensors.channels, sensors.quantities, more)
 
     def answered(self, asked: Asked) -> Measured | None:
-        """What was left in the folder of a request; None where nothing was.
+        """The measurements in the folder of a request; None without them.
 
         Raises:
-            UserError: something was, and it is not what the study declares.
+            UserError: they differ from the declaration of the study.
         """
         return self.measured(asked.id, None, None, None) if is_answered(self.folder(asked.id)) else None
 
@@ -159,16 +159,16 @@ class Requests:
         quantities: Mapping[str, float] | None,
         inputs: Mapping[str, float] | None,
     ) -> Measured:
-        """What was measured in an experiment.
+        """The measurements of an experiment.
 
         Arguments:
             id: of the experiment.
-            record: a file or a table of columns; None: what lies in the folder.
-            quantities: in declared units; None: what lies in the folder.
+            record: a file or a table of columns; None: the files in the folder.
+            quantities: in declared units; None: the files in the folder.
             inputs: as tested, in declared units; None: as asked.
 
         Raises:
-            UserError: something is missing, or is not what the study declares.
+            UserError: something is missing, or differs from the declaration of the study.
         """
         sensors, history, numbers = self.built.observed.sensors, None, {}
         if record is not None and not sensors.channels:
@@ -192,7 +192,7 @@ class Requests:
 
     def _left(self, id: str, names: tuple[str, ...]) -> Path:
         if id not in self.conduct.campaign:
-            raise UserError(f"experiment {id!r} was not asked; give what was measured and its inputs")
+            raise UserError(f"experiment {id!r} was not requested; give its measurements and its inputs")
         return left(self.folder(id), names)
 
     def record(
@@ -201,7 +201,7 @@ class Requests:
         """The record of an experiment, in SI, from a file or a table of columns.
 
         Raises:
-            ExperimentFailed: it is not what the study declares.
+            ExperimentFailed: it differs from the declaration of the study.
             UserError: the experiment is unknown, and its inputs were not given.
         """
         sensors, space = self.built.observed.sensors, self.built.experiments.space

@@ -22,7 +22,7 @@ from hsed_jax.runs.outcome import Outcome
 
 
 def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> xr.DataTree:
-    """Collect the results of a run, with what was computed for its figures; groups of steps that did not run are absent."""
+    """Collect the results of a run, with the data of its figures; groups of steps that did not run are absent."""
     groups = dict(illustrations)
     if outcome.fit is not None:
         groups |= draws_of(outcome.fit)
@@ -55,8 +55,9 @@ def _compared(comparison: Comparison, root: str, pair: Pair) -> dict[str, xr.Dat
 
 
 def _predictions(train: Prediction, test: Prediction | None, root: str, pair: Pair) -> dict[str, xr.Dataset]:
-    """Measured and predicted outputs of every compared experiment; of histories a group each.  NaN where nothing is scored,
-    and of predictions where the simulation diverged."""
+    """Measured and predicted outputs of every compared experiment; histories have one group each.  NaN outside the
+    scored window, and for predictions of a diverged simulation.
+    """
     groups = {}
     for split, prediction in (("train", train), ("test", test)):
         if prediction is None:
@@ -97,7 +98,7 @@ def _predictions(train: Prediction, test: Prediction | None, root: str, pair: Pa
 
 
 def _bands(prediction: Prediction) -> dict[str, np.ndarray]:
-    """What the band is made of, and the one without the discrepancy."""
+    """The parts of the band, and the band without the discrepancy."""
     found = {f"sd_{name}": part for name, part in prediction.parts.items()}
     if prediction.without is not None:
         found |= {"mean_without": prediction.without.mean, "sd_without": prediction.without.sd}

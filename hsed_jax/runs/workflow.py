@@ -56,14 +56,15 @@ def run(
     """Run the steps of a study, as the command line does.
 
     Arguments:
-        study: what to run.
+        study: the study to run.
         output: the run folder; by default `runs/<study>`.
-        resume: go on with the run in the folder.
+        resume: continue the run in the folder.
         force: replace the run in the folder.
         progress: show a progress bar.
         figures: draw the figures and write `report.html`; without, a small study takes half the time.
         laboratory: the function that performs an experiment, of a study whose `experiments.python` names no file.
-        tell: called with the run and the name of a step when that ends, and with `data` before the experiments are used.
+        tell: called with the run and the name of a step at the end of the step, and with `data` before the experiments are
+            used.
 
     Raises:
         UserError: the study or the folder is wrong.
@@ -133,7 +134,7 @@ class Run:
 
     @property
     def steps(self) -> list[dict[str, Any]]:
-        """What each step of the design found, as in the journal."""
+        """The results of each step of the design, as in the journal."""
         return [] if self.conduct is None else self.conduct.steps
 
     def __call__(self) -> dict[str, Any]:
@@ -160,7 +161,7 @@ class Run:
             self.store.close()
 
     def _write(self, outcome: Outcome, content: dict[str, Any]) -> None:
-        """Write the results, draw the figures, and make a report of both; a figure that fails is left out and said."""
+        """Write the results, draw the figures, and make a report of both; a figure that fails is left out with a message."""
         from hsed_jax.runs.results import results_tree
 
         if (cycles := cycle_table(outcome.campaign)).rows:
@@ -191,7 +192,7 @@ class Run:
         self.left_out = [*left_out.sentences, *of_page.sentences]
 
     def _stopped(self) -> str:
-        """Leave behind what the run has come to when it is interrupted, and say where."""
+        """Write the results of an interrupted run, and report the position of the interruption."""
         content = summary(self.outcome("interrupted"))
         if self._leading:
             content["diagnosis"] = self._leading
@@ -207,14 +208,14 @@ class Run:
 
     @property
     def _leading(self) -> dict[str, Any]:
-        """The leading result of a diagnosis that has not ended."""
+        """The best result of an unfinished diagnosis."""
         return {} if self.diagnosis is not None or self._followed is None else self._followed.leading
 
     def _watch(self, step: str) -> Progress:
         return Progress(step, self.progress, self.store)
 
     def outcome(self, status: str) -> Outcome:
-        """What the run has come to."""
+        """The outcome of the run so far."""
         laboratory = None if self.study.experiments.laboratory is None else self.built.site.laboratory
         return Outcome(
             study=self.study.study,
@@ -290,7 +291,7 @@ class Run:
         self.conduct.tell(asked.id, measured)
 
     def _answered(self, requests: Requests, asked: Asked) -> Measured:
-        """What was measured by hand.
+        """The measurements of an experiment that people perform.
 
         Raises:
             Waiting: nothing was, yet.
@@ -309,7 +310,7 @@ class Run:
         estimates = ", ".join(f"{name} {value:.4g}" for name, value in step["map"].items())
         return f"max EI {told([one['max_expected_improvement'] for one in self.steps])[-1]:.2e}, {estimates}"
 
-    # What is made of the experiments.
+    # The experiments as data.
 
     def _calibrate(self) -> None:
         if self.conduct is not None:
@@ -330,7 +331,7 @@ class Run:
         self.comparison = compare(self.calibration)
         self.location = locate(self.calibration)
 
-    # What it lacks, and what adding that does.
+    # The missing effects, and the improvement by them.
 
     def _diagnose(self) -> None:
         assert self.calibration is not None
@@ -362,7 +363,7 @@ class Run:
         self.improved_location = locate(self.improvement.calibration)
 
     def _to_add(self) -> tuple[list[str], dict[str, Any]]:
-        """The effects to add, and what is known of them."""
+        """The effects to add, and the known values of their parameters."""
         diagnosis, discovery = self.diagnosis, self.discovery
         if discovery is not None and discovery.found and not self.study.improve.add:
             files = [self.store.path / discovery.file]

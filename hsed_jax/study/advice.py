@@ -37,7 +37,7 @@ def frequency_doubts(mechanics: AbstractMechanics, campaign: Campaign) -> list[s
         return []
     on_ground = any(None in ends for ends in structure.specimens)
     if top_channel(campaign) == "elongation" and not on_ground:
-        return []  # that of no floor
+        return []  # not the frequency of a floor
     if (floors := floors_of(campaign)) is None:
         return []
     low, middle, high = (frequency_of(mechanics, structure, share) for share in (_LOW, 0.5, _HIGH))
@@ -55,7 +55,9 @@ def frequency_doubts(mechanics: AbstractMechanics, campaign: Campaign) -> list[s
 
 
 def frequency_of(mechanics: AbstractMechanics, structure: Structure, share: float) -> float:
-    """First frequency of the structure [Hz] at a quantile of stiffnesses and the opposite one of masses; zero of a loose one."""
+    """First frequency of the structure [Hz] at a quantile of the stiffnesses and the opposite quantile of the masses;
+    zero if the structure is loose.
+    """
     free, _ = mechanics.parameters
     numbers = {
         own_name(name): float(prior.quantile(1 - share if own_name(name).startswith("mass_") else share))
@@ -87,7 +89,7 @@ def _remedy(mechanics: AbstractMechanics, priors: list[str], factor: float) -> s
 
 
 def forecast(inference: Inference, campaign: Campaign) -> str:
-    """Time and memory that a run of measured experiments will take, in a sentence."""
+    """Estimated time and RAM of a run of measured experiments, in a sentence."""
     model, asked, count = inference.study.model, inference.study.steps, len(campaign.completed)
     if isinstance(model, CalledEntry):
         return f"{count} experiments; their time depends on the model's {model.described[0]}"

@@ -27,7 +27,7 @@ from hsed_jax.study.site import Site
 
 
 class _Called(NamedTuple):
-    """How a model that is called is built."""
+    """Classes that build a called model."""
 
     mechanics: type[CalledMechanics]
     simulation: type[CalledSimulation]
@@ -37,22 +37,22 @@ _CALLED: dict[type[Any], _Called] = {
     FunctionEntry: _Called(FunctionMechanics, FunctionSimulation),
     OpenSeesEntry: _Called(OpenSeesMechanics, OpenSeesSimulation),
 }
-"""By what a study says of the model; every other one is of spring laws."""
+"""Kinds of called models by the key of a study; other models have spring laws."""
 
 
 @dataclass(frozen=True)
 class Built:
-    """The products of a study; each is composed, and each of its parts built, when it is first asked for.
+    """The products of a study; each product and each of its parts is built at its first use.
 
     Attributes:
-        study: what the user said.
+        study: of the user.
         campaign: measured experiments; by default the campaign that the study names.
         workspace: folder in which the laboratory has its folders; by default a temporary one.
-        function: the laboratory, where it is a function given from Python.
-        open_forms: effects of which what tells their forms from one another is free, too: of a model that holds all forms.
+        function: the laboratory, if it is a Python function.
+        open_forms: effects with free parameters of their forms, for a model that contains all forms.
 
     Raises:
-        UserError: it is no study, but its file, say.
+        UserError: it is not a study, but for example its file.
     """
 
     study: Study
@@ -64,7 +64,9 @@ class Built:
     def __post_init__(self):
         # In a notebook no earlier code checks the type.
         if not isinstance(self.study, Study):  # pyright: ignore[reportUnnecessaryIsInstance]
-            raise UserError(f"study: {self.study!r} is no study; hx.load_study('study.yaml') reads one from its file")
+            raise UserError(
+                f"study: {self.study!r} is not a study; hx.load_study('study.yaml') reads one from its file"
+            )
         prepare()
 
     @cached_property
@@ -108,9 +110,9 @@ class Built:
         return Site(*products, self.workspace, self.function)
 
     def check(self, *, performs: bool = True) -> None:
-        """Build everything that can be wrong, and compute nothing; a `UserError` names the fault.
+        """Build everything that can have faults, and compute nothing; a `UserError` names the fault.
 
-        `performs` tells whether the laboratory will perform experiments; otherwise it is not built, because it may be code.
+        `performs` states whether the laboratory will perform experiments; otherwise it is not built, because it may be code.
         """
         try:
             check_plan(self.study, self.experiments.space)

@@ -1,6 +1,6 @@
-"""A study whose model is called and is no spring law: the mechanics and the simulation that all such models share."""
+"""A study with a called model instead of a spring law: the common mechanics and simulation of such models."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
 
 from abc import abstractmethod
@@ -32,7 +32,7 @@ from hsed_jax.study.timelines import TOLD
 
 @dataclass(frozen=True)
 class CalledMechanics(AbstractMechanics):
-    """A model that is called: its parameters are its own.
+    """A called model; it has its own parameters.
 
     Structure, specimens and laws are those of a virtual laboratory, if there is one.
     """
@@ -40,14 +40,14 @@ class CalledMechanics(AbstractMechanics):
     @property
     @abstractmethod
     def words(self) -> str:
-        """What the model is, for messages: `this one is` stands before it."""
+        """The kind of the model, for messages after the words `this one is`."""
 
     @cached_property
     def naming(self) -> Naming:
         """None: the names are the function's own.
 
         Raises:
-            UserError: always; what asks for it cannot be had.
+            UserError: always; a called model does not have it.
         """
         where = f"model.{self.study.model.described[0]}"
         raise UserError(
@@ -64,7 +64,7 @@ class CalledMechanics(AbstractMechanics):
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:
-        """The measured specimens; virtual ones have their laws in `virtual`, and others need none."""
+        """The measured specimens; virtual specimens have their laws in `virtual`, and others need none."""
         virtual = self.study.experiments.specimen
         if virtual is not None and virtual.spring is None:
             raise UserError("experiments.virtual.spring: this key is required, as the model has no spring law")
@@ -81,7 +81,7 @@ class CalledMechanics(AbstractMechanics):
 
     @property
     def steepest(self) -> tuple[AbstractSpringLaw, ...]:
-        """The same: they are known."""
+        """Nothing to check: the model determines the outputs itself."""
         return self.laws
 
     @property
@@ -127,7 +127,7 @@ class CalledMechanics(AbstractMechanics):
 
 @dataclass(frozen=True)
 class CalledSimulation(AbstractSimulation):
-    """The calls of a model: nothing is integrated here, so that steps are the samples of the records."""
+    """The calls of a model. Nothing is integrated here, so the steps are the samples of the records."""
 
     @cached_property
     def longest_step(self) -> float:
@@ -142,7 +142,7 @@ class CalledSimulation(AbstractSimulation):
 
     @cached_property
     def grid(self) -> Grid | None:
-        """Samples of the measured records, a step for each; None where there are none."""
+        """Samples of the measured records, a step for each; None without them."""
         records = self.experiments.records
         return Grid(max(len(record) for record in records), 1, from_zero=False) if records else None
 
@@ -175,7 +175,7 @@ class CalledSimulation(AbstractSimulation):
 def called(
     where: str, function: Any, parameters: Mapping[str, float], told: Any, wanted: tuple[str, ...]
 ) -> dict[str, Any]:
-    """What the function returns at these parameters, checked."""
+    """The checked output of the function at these parameters."""
     at = ", ".join(f"{name} {value:.4g}" for name, value in parameters.items())
     time = None if "time" not in told else np.asarray(told["time"])
     try:

@@ -19,7 +19,7 @@ from hsed_jax.physics.simulator import AbstractModel, Conditions
 from hsed_jax.study.inference import Inference
 
 if TYPE_CHECKING:
-    # A check of a study samples nothing, so it does not import the samplers.
+    # A check of a study does not sample, so it does not import the samplers.
     from hsed_jax.design.sequential import SequentialDesign
 
 
@@ -28,7 +28,7 @@ class Design:
     """The design of a study's experiments.
 
     Attributes:
-        study: what the user said.
+        study: of the user.
         inference: of the parameters.
     """
 
@@ -73,13 +73,13 @@ def limits_of(entry: LimitsEntry, model: AbstractModel, names: tuple[str, ...], 
     """The limits of specimen and actuator.
 
     Arguments:
-        entry: what the user said.
+        entry: of the study.
         model: of the planned experiments.
         names: of the model's free parameters.
         space: of the inputs.
 
     Raises:
-        UserError: no limit is given, or one is of what the model does not predict.
+        UserError: no limit is given, or the model does not predict the limited output.
     """
     known = {known.limit: name for name, known in QUANTITIES.items() if known.limit is not None}
     given = entry.model_dump(include=set(known), exclude_none=True)

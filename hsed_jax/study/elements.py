@@ -15,14 +15,14 @@ from hsed_jax.study.own_parts import law_of
 
 
 def elements_of(study: Study, shared: type[AbstractSpringLaw]) -> tuple[Element, ...]:
-    """The specimens of a study; files of laws that are one's own are executed.
+    """The specimens of a study; this executes files with the user's laws.
 
     Arguments:
         study: the study.
-        shared: the law of those that have no model of their own.
+        shared: the law of specimens without their own model.
 
     Raises:
-        UserError: a name that none can have, or a file without a law.
+        UserError: a name is not allowed, or a file has no law.
     """
     several = {} if study.structure is None else study.structure.specimens or {}
     if not several:
@@ -73,5 +73,5 @@ def is_of_linear(effect: type[AbstractEffect]) -> bool:
 
 
 def is_of_specimen(effect: type[AbstractEffect]) -> bool:
-    """Whether each specimen has such an effect of its own."""
+    """Whether each specimen has its own effect of this kind."""
     return issubclass(effect, AbstractSpringEffect) or is_of_sensors(effect)

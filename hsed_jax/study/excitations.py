@@ -21,14 +21,14 @@ from hsed_jax.sections import InputEntry
 from hsed_jax.study import parts
 
 LOWEST = 1e-9
-"""Quantile up to which an input is taken to reach."""
+"""Quantile that counts as the largest value of an input."""
 
 
 def protocol_of(study: Study, measured: Campaign | None) -> Protocol:
     """The excitation of the experiments of a study: measured, or else planned.
 
     Raises:
-        UserError: elongations are planned of a specimen in a structure, or beside measurements of a structure.
+        UserError: planned elongations for a specimen in a structure, or together with measurements of a structure.
     """
     excitation = None if study.excitation is None else study.excitation.excitation
     planned = "ground_motion" if excitation is None else excitation.kind.protocol
@@ -50,7 +50,8 @@ def excitation_of(study: Study) -> Parametrised[AbstractExcitation] | None:
     """From inputs to the excitation of an experiment; None if every experiment brings its record.
 
     Raises:
-        UserError: a setting is impossible, refers to what is no input or one of another dimension, or a file cannot be read.
+        UserError: a setting is impossible, refers to an unknown input or one with another dimension, or a file cannot be
+            read.
     """
     entry, inputs = study.excitation, study.inputs
     kind = None if entry is None else entry.excitation
@@ -71,7 +72,7 @@ def excitation_of(study: Study) -> Parametrised[AbstractExcitation] | None:
 
 
 def _stands_for(known: Setting, value: Any) -> Any:
-    """What a class takes: a word of a study could be the name of an input, what it stands for could not."""
+    """The value for a class: a word of a study could be the name of an input, but the value behind the word could not."""
     if value is not None and known.kind == "word":
         return known.words[value]
     return tuple(cast("list[Any]", value)) if isinstance(value, list) else value
@@ -96,7 +97,7 @@ def _check(where: str, known: Setting, value: float | str, inputs: Mapping[str, 
         return
     if value not in inputs:
         known_inputs = ", ".join(inputs) or "none"
-        raise UserError(f"{where}: it refers to {value!r}, which is no input; inputs are {known_inputs}")
+        raise UserError(f"{where}: it refers to {value!r}, which is not an input; inputs are {known_inputs}")
     if known.unit != "1":
         at(f"inputs.{value}.unit", parse_unit, inputs[value].unit, dimension_of(known.unit))
     if known.is_positive:

@@ -29,7 +29,7 @@ class Experiments:
     """The experiments of a study.
 
     Attributes:
-        study: what the user said.
+        study: of the user.
         campaign: measured experiments; by default the campaign that the study names.
     """
 
@@ -38,7 +38,7 @@ class Experiments:
 
     @cached_property
     def measured(self) -> Campaign | None:
-        """The campaign of measurements, where the study has one."""
+        """The campaign of measurements, if the study has one."""
         path = self.study.experiments.campaign
         if self.campaign is not None or path is None:
             return self.campaign
@@ -70,7 +70,7 @@ class Experiments:
 
     @cached_property
     def excitation(self) -> Parametrised[AbstractExcitation] | None:
-        """From inputs to what drives an experiment; None where every experiment brings its record."""
+        """From inputs to the excitation of an experiment; None if every experiment has its record."""
         return excitation_of(self.study)
 
     @cached_property
@@ -84,7 +84,7 @@ class Experiments:
         return tuple(thinned(e, samples) for e in experiments) if self.component_test else tuple(experiments)
 
     def thinning_notes(self, campaign: Campaign) -> list[str]:
-        """How thinning shortened the records of a campaign, in a sentence each; unchanged records have none."""
+        """The thinning of the records of a campaign, in a sentence each; unchanged records have no sentence."""
         full = campaign.completed.experiments
         pairs = [(a.id, a.scored, b.scored) for a, b in zip(full, self.taken(full), strict=True) if a is not b]
         return [f"{id} is {loss(a, b)}" for id, a, b in pairs if a is not None and b is not None]
@@ -94,7 +94,7 @@ class Experiments:
         """Records of the measured experiments, after thinning; none without measurements.
 
         Raises:
-            UserError: there is a campaign, and no experiment of it is completed.
+            UserError: the campaign has no completed experiment.
         """
         campaign = self.measured
         if campaign is None:
@@ -110,7 +110,7 @@ class Experiments:
 
     @cached_property
     def duration(self) -> float:
-        """How long a planned experiment in the middle of the inputs lasts [s]."""
+        """Duration of a planned experiment in the middle of the inputs [s]."""
         entry = self.study.excitation
         assert entry is not None and self.excitation is not None
         return float(self.excitation(self.quantile(0.5)).duration) if entry.duration is None else entry.duration

@@ -20,7 +20,7 @@ def material_lines(model: str, campaign: Campaign) -> list[str]:
         campaign: the measurements that the priors come from.
 
     Raises:
-        UserError: there is no such material, the elongation was not imposed, or the records tell no prior.
+        UserError: there is no such material, the elongation was not imposed, or the records do not determine a prior.
     """
     if not model.startswith(PREFIX):
         raise UserError(f"--model {model}: write {PREFIX} and a material, such as {PREFIX}Pinching4")
@@ -37,7 +37,7 @@ def material_lines(model: str, campaign: Campaign) -> list[str]:
             continue
         prior = known.prior_of(marks)
         if prior is None:
-            raise UserError(f"--model {model}: the records tell no prior of {key}, {known.meaning}")
+            raise UserError(f"--model {model}: the records do not determine a prior of {key}, {known.meaning}")
         lines.append(f"    {key}: {_flow(prior)}  # {pair.words(known.meaning)} [{pair.unit(known.unit)}]")
     return [*lines, "  search: 2000  # simulations of the search before the descents"]
 

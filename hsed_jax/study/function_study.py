@@ -1,6 +1,6 @@
-"""A study whose model is a function or a program: its parameters and its calls."""
+"""A study with a function or a program as the model: its parameters and its calls."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false
@@ -39,7 +39,7 @@ class FunctionMechanics(CalledMechanics):
 
     @property
     def words(self) -> str:
-        """What the model is, for messages."""
+        """The kind of the model, for messages."""
         return "a function"
 
     def known(self, name: str) -> Parameter | None:
@@ -95,7 +95,7 @@ class FunctionSimulation(CalledSimulation):
         It is called once, in the middle of the priors, for the first experiment or in the middle of the inputs.
 
         Raises:
-            UserError: the file or function is missing, or what it returned cannot be used.
+            UserError: the file or function is missing, or its output cannot be used.
         """
         limit_threads()
         self._check_names()
@@ -126,7 +126,7 @@ class FunctionSimulation(CalledSimulation):
                 return model(function, tuple(called(where, jax.jit(traced), middle, told, wanted)))
             if kind == "jax":
                 raise UserError(
-                    f"{where}: JAX cannot trace it ({fault}); leave model.derivatives out, or say differences"
+                    f"{where}: JAX cannot trace it ({fault}); leave model.derivatives out, or use differences"
                 )
         plain = unpadded({name: np.asarray(value) if np.ndim(value) else float(value) for name, value in told.items()})
         outputs = tuple(called(where, function, {**middle, **fixed}, plain, wanted))
@@ -158,13 +158,11 @@ class FunctionSimulation(CalledSimulation):
         measured = self.experiments.measured
         inputs = [*self.study.inputs, *(() if measured is None else measured.inputs)]
         if taken := [name for name in inputs if is_told(name)]:
-            raise UserError(
-                f"inputs.{taken[0]}: a function is told a history of this name; give the input another name"
-            )
+            raise UserError(f"inputs.{taken[0]}: a function gets a history of this name; give the input another name")
 
 
 def _entry_of(study: Study) -> FunctionEntry:
-    """What a study says of a model that is a function."""
+    """The entry of a study for a model that is a function."""
     assert isinstance(study.model, FunctionEntry)
     return study.model
 

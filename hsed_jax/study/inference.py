@@ -34,14 +34,15 @@ from hsed_jax.study.observed import Observed
 from hsed_jax.study.simulation import AbstractSimulation
 
 if TYPE_CHECKING:
-    # A check of a study samples nothing, so it does not import the samplers.
+    # A check of a study does not sample, so it does not import the samplers.
     from hsed_jax.inference.discrepancy.inputs import Support
     from hsed_jax.inference.nuts import Settings
 
 # Inputs that represent their distribution: a simulation each.
 _SPREAD = 128
-# Fewer shaken experiments do not show how far the best parameters of another one are from theirs.  With one, bands held 60 % of
-# new records instead of 90 %; with two, 43 % in the worst of 20 campaigns, and the intervals held one value in two.
+# Fewer shaken experiments do not determine the variation of the best parameters between experiments.  With one, bands
+# held 60 % of new records instead of 90 %; with two, 43 % in the worst of 20 campaigns, and the intervals held one
+# value in two.
 _LEAST_SHAKEN = 3
 
 
@@ -50,10 +51,10 @@ class Inference:
     """The inference from the experiments of a study.
 
     Attributes:
-        study: what the user said.
+        study: of the user.
         experiments: measured or planned.
         mechanics: of the model.
-        observed: what is compared.
+        observed: compared outputs.
         simulation: of the experiments.
     """
 
@@ -95,7 +96,7 @@ class Inference:
         """Experiments of a campaign as data, padded to `size` rows.
 
         Raises:
-            UserError: the campaign is measured in another pair than that of the model it is compared with.
+            UserError: the pairs of the campaign and of the model differ.
         """
         if campaign.pair != (pair := self.mechanics.pair):
             raise UserError(f"the campaign {campaign.name!r} is measured in {campaign.pair}; the study is of {pair}")
@@ -141,7 +142,7 @@ class Inference:
         """Refuse a discrepancy of histories from too few shaken experiments; a component test imposes the motion.
 
         Arguments:
-            experiments: how many there are to calibrate on; by default those measured, or planned.
+            experiments: number of experiments of the calibration; by default the measured or planned ones.
 
         Raises:
             UserError: there are fewer than three experiments of a structure.
@@ -167,7 +168,7 @@ class Inference:
         discrepancy, and for histories, whose discrepancy depends on the cycles of the response.
 
         Raises:
-            UserError: the experiments do not say one of them.
+            UserError: the experiments lack one of them.
         """
         if self.study.observe == "histories" or not self._has_discrepancy:
             return None

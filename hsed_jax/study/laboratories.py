@@ -30,7 +30,7 @@ def sensors_of(study: Study, outputs: tuple[str, ...], structure: Structure | No
         structure: that the specimen is in.
 
     Raises:
-        UserError: a channel or unit that is none, or something observed that is not measured.
+        UserError: a channel or unit is unknown, or an observed output is not measured.
     """
     entry = study.experiments.laboratory
     if entry is None:

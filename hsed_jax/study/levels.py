@@ -1,4 +1,4 @@
-"""Levels of a study: the columns of the experiments with which parameters vary, and their members."""
+"""Levels of a study: the columns of the experiments by which parameters vary, and their members."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -26,13 +26,13 @@ def levels_of(
     """The levels of a study, their members those of the training experiments.
 
     Arguments:
-        said: what the study says, by column and parameter.
+        said: entries of the study, by column and parameter.
         campaign: of measurements.
         free: parameters of the model with their priors.
-        possible: gives what is physically possible of each.
+        possible: gives the physically possible range of each.
 
     Raises:
-        UserError: there is no measured campaign or no such column, a cell of it is empty, or a parameter is none that could vary.
+        UserError: there is no measured campaign or no such column, a cell of it is empty, or a parameter cannot vary.
     """
     if not said:
         return ()
@@ -71,7 +71,7 @@ def member_of(experiment: Experiment, column: str, campaign: Campaign) -> str:
 
 
 def members_of(levels: Sequence[Level], campaign: Campaign, experiments: Sequence[Experiment], size: int) -> np.ndarray:
-    """The member that each experiment has of each level, padded to `size` rows; members of no level come after all others."""
+    """The member of each experiment at each level, padded to `size` rows; members of no level come after all others."""
     table = np.zeros((size, len(levels)), dtype=int)
     for column, level in enumerate(levels):
         known = {member: number for number, member in enumerate(level.members)}
@@ -89,7 +89,7 @@ def _varying(
     possible: Callable[[], Mapping[str, Range]],
 ) -> Varying:
     if name not in free:
-        raise UserError(f"{where}: {shown(name)} is no parameter that is calibrated; those are {', '.join(free)}")
+        raise UserError(f"{where}: {shown(name)} is not a calibrated parameter; those are {', '.join(free)}")
     prior = free[name]
     is_log = prior.bounds[0] is not None and prior.bounds[0] >= 0
     if entry:

@@ -1,6 +1,6 @@
 """The mechanics of a study: specimens with their laws and effects, the structure that they are in, and the parameters of both."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false
 
 from abc import ABC, abstractmethod
@@ -35,7 +35,7 @@ class Virtual(NamedTuple):
     """Specimens that a virtual laboratory tests.
 
     Attributes:
-        elements: the specimens; the law of those that share the model's may be another one.
+        elements: the specimens; specimens that share the law of the model may have another law here.
         parameters: their true parameters, and those of the structure, SI.
     """
 
@@ -48,8 +48,8 @@ class AbstractMechanics(ABC):
     """The parts of a model; each kind of model has its own.
 
     Attributes:
-        study: what the user said.
-        experiments: that the model is of.
+        study: of the user.
+        experiments: of the model.
     """
 
     study: Study
@@ -66,7 +66,7 @@ class AbstractMechanics(ABC):
         """The meaning of the names of parameters and effects.
 
         Raises:
-            UserError: the model is a function, and has names of its own.
+            UserError: the model is a function, and has its own names.
         """
 
     @property
@@ -97,7 +97,7 @@ class AbstractMechanics(ABC):
     @property
     @abstractmethod
     def has_specimens(self) -> bool:
-        """Whether structure and specimens determine the outputs; a function shows them when it is called."""
+        """Whether structure and specimens determine the outputs; the outputs of a function are known only after a call."""
 
     @abstractmethod
     def known(self, name: str) -> Parameter | None:
@@ -122,7 +122,8 @@ class AbstractMechanics(ABC):
 
     @cached_property
     def pair(self) -> Pair:
-        """The kind of elongation and force of the specimen, as the campaign or the laboratory declares it; else just these.
+        """The kind of elongation and force of the specimen, as the campaign or the laboratory declares it; otherwise
+        elongation and force.
 
         Raises:
             UserError: units that do not belong together; or the specimen is in a structure of masses, and the pair is another.
@@ -184,7 +185,7 @@ class SpringMechanics(AbstractMechanics):
     """A model of spring laws with effects.
 
     Attributes:
-        open_forms: effects of which what tells their forms from one another is free, too: of a model that holds all forms.
+        open_forms: effects with free parameters of their forms, for a model that contains all forms.
     """
 
     open_forms: tuple[str, ...] = ()

@@ -16,13 +16,13 @@ def errors_of(study: Study, outputs: Sequence[str], declared: Mapping[str, Chann
     """The errors of the outputs.
 
     Arguments:
-        study: says what they are, or leaves it to what is declared.
-        outputs: names of what is observed.
-        declared: what campaign or laboratory measures, by name.
+        study: has the errors, or leaves them to the declared noise.
+        outputs: names of the observed outputs.
+        declared: measured channels and quantities of the campaign or laboratory, by name.
         pair: that the specimen is measured in.
 
     Raises:
-        UserError: an error of what is not observed, or one relative to a quantity that may be negative or zero.
+        UserError: an error of an unobserved output, or a relative error of a quantity that may be negative or zero.
     """
     given = per_output("error", study.error, list(outputs))
     errors: list[Error] = []
@@ -42,7 +42,7 @@ def _check_discrepancy(study: Study, name: str, size: NoiseEntry) -> None:
     """Refuse a discrepancy that cannot be learned.
 
     Raises:
-        UserError: of quantities without inputs, of a population, or beside a noise that nobody declares.
+        UserError: for quantities without inputs, for a population, or without a declared noise.
     """
     if getattr(study.model, "levels", {}):
         raise UserError(

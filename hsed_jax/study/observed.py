@@ -1,4 +1,4 @@
-"""The observed outputs of a study: quantities or channels that campaign, laboratory and model can give."""
+"""The observed outputs of a study: quantities or channels that the campaign, the laboratory and the model have."""
 
 import math
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ class Observed:
     """The observed outputs of a study.
 
     Attributes:
-        study: what the user said.
+        study: of the user.
         experiments: that are observed.
         mechanics: of the model.
     """
@@ -41,7 +41,7 @@ class Observed:
         """Names of the observed quantities or channels.
 
         Raises:
-            UserError: one is not measured, or is none that the model gives.
+            UserError: one is not measured, or the model does not give it.
         """
         study, measured, alone = self.study, self.experiments.measured, self.experiments.component_test
         if study.observe == "quantities":
@@ -61,7 +61,7 @@ class Observed:
         self._check(names)
         if not names:
             raise UserError(
-                "observe: there is no measured channel to compare with; the campaign has only what was imposed"
+                "observe: there is no measured channel to compare with; the campaign has only imposed channels"
             )
         return names
 
@@ -72,7 +72,7 @@ class Observed:
 
     @cached_property
     def errors(self) -> tuple[Error, ...]:
-        """Of each output."""
+        """Properties of each output."""
         source = self.sensors if self.experiments.measured is None else self.experiments.measured
         declared = source.quantities if self.study.observe == "quantities" else source.channels
         return errors_of(self.study, self.outputs, declared, self.mechanics.pair)
@@ -81,7 +81,7 @@ class Observed:
         """Refuse quantities or channels that the model does not give, as far as its specimens tell.
 
         Raises:
-            UserError: one is none of theirs.
+            UserError: the model does not give one.
         """
         mechanics, experiments = self.mechanics, self.experiments
         histories = self.study.observe == "histories"
@@ -137,7 +137,7 @@ def _check_quantities(
         duration: of the experiments [s].
 
     Raises:
-        UserError: one is of no specimen that there is, or of masses, and there are none, or of a time after the end.
+        UserError: one belongs to an unknown specimen, to masses that do not exist, or to a time after the end.
     """
     for name in names:
         known = quantity(name)
@@ -151,7 +151,7 @@ def _check_quantities(
 
 
 def _declared(study: Study) -> tuple[str, ...] | None:
-    """Channels of responses that the laboratory declares; None if it measures whatever is requested."""
+    """Channels of responses that the laboratory declares; None if it measures all requested outputs."""
     entry = study.experiments.laboratory
     if not isinstance(entry, MeasuredEntry) or not entry.channels:
         return None

@@ -1,6 +1,6 @@
-"""A study whose model is a material of OpenSees along imposed elongations: its parameters and its simulator."""
+"""A study with a material of OpenSees as the model, along imposed elongations: its parameters and its simulator."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false, reportIncompatibleVariableOverride=false
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class OpenSeesMechanics(CalledMechanics):
 
     @property
     def words(self) -> str:
-        """What the model is, for messages."""
+        """The kind of the model, for messages."""
         return f"the material {self.material.name} of OpenSees"
 
     def known(self, name: str) -> Parameter | None:
@@ -51,7 +51,8 @@ class OpenSeesMechanics(CalledMechanics):
 
     @cached_property
     def parameters(self) -> tuple[dict[str, Prior], dict[str, float]]:
-        """Free parameters with their priors, and the fixed ones with their values; left out, one is as the table has it.
+        """Free parameters with their priors, and the fixed ones with their values; an omitted parameter has its value or
+        prior of the table.
 
         Raises:
             UserError: a parameter is unknown, impossible, or has no prior; or the specimen is in a structure.
@@ -87,7 +88,7 @@ class OpenSeesMechanics(CalledMechanics):
         prior = known.prior_of(NOTHING if measured is None else marks_of(measured))
         if prior is None:
             raise UserError(
-                f"{where}: neither the table nor a record of the training experiments tells a prior; give one, such as "
+                f"{where}: neither the table nor a record of the training experiments determines a prior; give one, such as "
                 "{uniform: [2.0e5, 9.0e5]}"
             )
         return prior

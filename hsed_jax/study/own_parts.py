@@ -53,7 +53,7 @@ def catalogue_of(study: Study) -> Catalogue:
     Executes the files of `model.own_effects`, once in a process and again after they have changed.
 
     Raises:
-        UserError: a file is missing, fails, or registers no effect; or an effect bears a name that is taken.
+        UserError: a file is missing, fails, or registers no effect; or the name of an effect is already used.
     """
     effects = list(study.own_effects)
     for name in study.model.own_effects:

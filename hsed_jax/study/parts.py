@@ -40,6 +40,6 @@ def prior(where: str, entry: Mapping[str, Any]) -> Prior:
 
 
 def in_study(file: Any, error: UserError) -> UserError:
-    """An error whose message begins with the file of the study, once; without a file, the error as it is."""
+    """The error with the file of the study at the beginning of its message, once; without a file, the unchanged error."""
     is_said = file is None or str(error).startswith(f"{file}: ")
     return error if is_said else UserError(f"{file}: {error}")

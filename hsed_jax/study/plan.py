@@ -1,4 +1,4 @@
-"""Whether the steps of a study can be done: their order, and the needs of each."""
+"""Checks of the steps of a study: their order, and the requirements of each."""
 
 import difflib
 from collections.abc import Sequence
@@ -18,14 +18,14 @@ ORDER = ["design", "calibrate", "compare", "diagnose", "discover", "improve"]
 
 
 def check_plan(study: Study, space: InputSpace) -> None:
-    """Refuse steps that cannot be done one after the other, and a design that cannot be made.
+    """Refuse a wrong order of steps, and an impossible design.
 
     Arguments:
         study: the study.
         space: of its inputs.
 
     Raises:
-        UserError: names the key and what is allowed.
+        UserError: with the key and the allowed values.
     """
     steps = study.steps
     for before, step in pairwise(steps):
@@ -61,7 +61,7 @@ def check_plan(study: Study, space: InputSpace) -> None:
 
 
 def _check_sizes(study: Study) -> None:
-    """Refuse sizes that memory cannot hold, by the arrays and objects that each is certain to need."""
+    """Refuse sizes that exceed the RAM, from the arrays and objects that each certainly needs."""
     design, sizes, usual = study.design, study.calibration, CalibrationEntry()
     given = [entry for model in study.models.values() for entry in model.parameters.values()]
     free = [entry for entry in given if not isinstance(entry, float)]
@@ -92,7 +92,7 @@ def check_added(study: Study, effects: Sequence[str], naming: Naming, where: str
     """Refuse effects that cannot be added to a model.
 
     Raises:
-        UserError: one is unknown, there already, given twice, or nothing that the law can have.
+        UserError: one is unknown, already in the model, given twice, or impossible with the law.
     """
     for name in effects:
         if name not in naming.catalogue:

@@ -48,7 +48,7 @@ def simulated_scales(plain: Simulator, middle: Mapping[str, float], experiments:
     With several specimens, the largest.
 
     Raises:
-        UserError: it does nothing, or its simulation diverges.
+        UserError: the model stays at rest, or its simulation diverges.
     """
     owners, rows = plain.owners, list[list[float]]()
     for conditions in experiments:

@@ -1,6 +1,6 @@
 """The simulation of a study's experiments: their grids of time, the scales of effects, and the computational simulator."""
 
-# A cached property stands for an abstract property here.
+# A cached property implements an abstract property here.
 # pyright: reportIncompatibleMethodOverride=false
 
 import dataclasses
@@ -35,13 +35,13 @@ from hsed_jax.study.timelines import (
 
 @dataclass(frozen=True)
 class AbstractSimulation(ABC):
-    """How the experiments of a study are simulated; each kind of model has its own.
+    """The simulation of the experiments of a study; each kind of model has its own class.
 
     Attributes:
-        study: what the user said.
+        study: of the user.
         experiments: measured or planned.
         mechanics: of the model.
-        observed: what of the model is observed.
+        observed: observed outputs of the model.
     """
 
     study: Study
@@ -52,7 +52,7 @@ class AbstractSimulation(ABC):
     @property
     @abstractmethod
     def grid(self) -> Grid | None:
-        """Samples and steps per sample of the measured records; None where there are none."""
+        """Samples and steps per sample of the measured records; None without them."""
 
     @property
     @abstractmethod
@@ -70,7 +70,7 @@ class AbstractSimulation(ABC):
         """The grid of the integration for an experiment without a record.
 
         Raises:
-            UserError: there is no excitation, its step is longer than it, or it takes too many.
+            UserError: there is no excitation, the step is longer than it, or there are too many steps.
         """
         entry, excitation = required(self.experiments)
         if self.experiments.component_test:
@@ -91,7 +91,7 @@ class AbstractSimulation(ABC):
         """Characteristic values that make amplitudes of effects dimensionless: given, or from the campaign or the plain model.
 
         Raises:
-            UserError: nothing tells them, not even the model.
+            UserError: neither the data nor the model determine them.
         """
         if self.study.scales is not None:
             return Scales(**self.study.scales.model_dump())
@@ -154,7 +154,7 @@ class SpringSimulation(AbstractSimulation):
 
     @cached_property
     def grid(self) -> Grid | None:
-        """Samples and steps per sample of the measured records; None where there are none."""
+        """Samples and steps per sample of the measured records; None without them."""
         return measured_grid(self.experiments, self.mechanics, lambda: self.longest_step)
 
     @cached_property

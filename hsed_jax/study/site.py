@@ -30,10 +30,10 @@ class Site:
     (`hsed_jax.laboratories.kinds.base.Site`).
 
     Attributes:
-        study: what the user said.
+        study: of the user.
         experiments: that are planned.
         mechanics: of the model.
-        observed: what is observed.
+        observed: observed outputs.
         simulation: of the model, and of virtual specimens.
         workspace: folder for the folders of experiments; None: a temporary one.
         function: given from Python, for a laboratory that is a function.
@@ -67,7 +67,9 @@ class Site:
             UserError: the study has no laboratory, or the laboratory cannot be made.
         """
         if (entry := self.study.experiments.laboratory) is None:
-            raise UserError("experiments: the step design needs a laboratory, such as virtual, to perform what it asks")
+            raise UserError(
+                "experiments: the step design needs a laboratory, such as virtual, to perform the requested experiments"
+            )
         return entry.laboratory(self)
 
     @property

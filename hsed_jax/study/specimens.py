@@ -1,7 +1,7 @@
 """The specimens of a study: their laws, and the parameters of the model and of a virtual specimen by their names.
 
-With several specimens, the name of a specimen stands before its parameters: `storey2.A`, `storey2.slip.delta`.  Without it, a
-parameter is shared by all specimens that have no model of their own.  A linear spring has one effect in the catalogue, which
+With several specimens, the name of a specimen precedes its parameters: `storey2.A`, `storey2.slip.delta`.  A parameter
+without this name is shared by all specimens without their own model.  A linear spring has one effect in the catalogue, which
 makes it yield: `spring_1.yielding`.
 """
 
@@ -51,7 +51,7 @@ class Naming:
         return [element.law for element in self.elements if element.has(owner)]
 
     def unserved(self, effect: str, form: str | None = None) -> str:
-        """Why the specimens cannot have an effect, in one of its forms or in its default one; empty if they can."""
+        """The reason why the specimens cannot have an effect, in one of its forms or in its default form; empty if they can."""
         kind = self.catalogue[effect]
         return next((why for law in self.laws_with(effect) if (why := unserved(kind, law, form))), "")
 
@@ -200,7 +200,7 @@ class Naming:
             study: the study.
             of_structure: parameters of the structure.
             pair: that the specimens are measured in.
-            open_forms: effects of which what tells their forms from one another is free, too.
+            open_forms: effects with free parameters of their forms.
 
         Raises:
             UserError: a name that stands for nothing, a value that cannot be, or one that is missing.
@@ -258,7 +258,7 @@ class Naming:
         return given
 
     def _of_forms(self, effect: str) -> list[str]:
-        """The parameters of an effect that are free or held in any form that it can have."""
+        """The parameters of an effect that are free or fixed in any of its possible forms."""
         forms, known = self.forms(effect).values(), parameters_of(self.catalogue[effect])
         told = {name for form in forms for name in (*form.free, *form.held)}
         return [name for name, parameter in known.items() if name in told or not parameter.shapes]
@@ -335,7 +335,7 @@ class Naming:
 
 
 def own_model(study: Study, element: Element) -> tuple[str, Any]:
-    """The key of the model that a specimen follows, and the entry if it has one of its own."""
+    """The key of the model of a specimen, and the entry if it has its own model."""
     if not element.is_apart:
         return "model", None
     assert study.structure is not None
@@ -344,7 +344,7 @@ def own_model(study: Study, element: Element) -> tuple[str, Any]:
 
 
 def effects_of(study: Study) -> dict[str, tuple[str, Mapping[str, Any]]]:
-    """The effects of the model, those of a specimen's own model with its name: the key each stands at, and what is given.
+    """The effects of the model; those of a specimen's own model have its name. Each has its key and its entry.
 
     Raises:
         UserError: one is given twice.

@@ -39,7 +39,7 @@ _DIVISIONS = 20
 _LEAST, _TIMES = 256, 2
 _LEAST_SHARED, _TIMES_SHARED = 512, 4
 TOLD = 1000
-"""Samples of what drives an experiment, as a model is told that integrates nothing here."""
+"""Number of samples of the excitation for a model without an integration in this package."""
 
 
 def longest_step(structure: Structure, steepest: Sequence[AbstractSpringLaw], experiments: Experiments) -> float:
@@ -55,7 +55,7 @@ def required(experiments: Experiments) -> tuple[ExcitationEntry, Parametrised[Ab
     """The excitation of the planned experiments.
 
     Raises:
-        UserError: the study does not say.
+        UserError: the study has no excitation.
     """
     entry, excitation = experiments.study.excitation, experiments.excitation
     if entry is None or excitation is None:
@@ -70,7 +70,7 @@ def planned_timeline(experiments: Experiments, step: float) -> Timeline:
     """The grid of the integration for an experiment without a record, driven over time.
 
     Raises:
-        UserError: the step [s] is longer than the experiment, or takes too many.
+        UserError: the step [s] is longer than the experiment, or there are too many steps.
     """
     duration = experiments.duration
     if step > duration:
@@ -113,7 +113,7 @@ def imposed_timeline(
 
 
 def measured_grid(experiments: Experiments, mechanics: AbstractMechanics, needed: Callable[[], float]) -> Grid | None:
-    """Samples and steps per sample of the measured records; None where there are none.
+    """Samples and steps per sample of the measured records; None without them.
 
     Arguments:
         experiments: of the study.
@@ -121,7 +121,7 @@ def measured_grid(experiments: Experiments, mechanics: AbstractMechanics, needed
         needed: gives the longest step that resolves them in a structure [s].
 
     Raises:
-        UserError: no experiment is completed, or a force was applied to a mass that the structure has not.
+        UserError: no experiment is completed, or a force was applied to a mass that does not exist.
     """
     records = experiments.records
     if not records:
@@ -137,7 +137,7 @@ def measured_grid(experiments: Experiments, mechanics: AbstractMechanics, needed
 
 
 def check_mass(where: str, channel: str, structure: Structure | None) -> None:
-    """Refuse a force on a mass that the structure has not."""
+    """Refuse a force on a mass that does not exist."""
     mass, masses = driven_mass(channel), math.inf if structure is None else len(structure.masses)
     if mass is not None and mass > masses:
         raise UserError(f"{where}: there is no mass {mass}; the structure has {masses}")
@@ -155,7 +155,7 @@ def imposed_grid(
     Arguments:
         records: each with its elongation.
         found: characteristic values of the campaign.
-        middle, steepest: the law in the middle of its priors, and where they make it yield soonest.
+        middle, steepest: the law in the middle of its priors, and at the parameters with the earliest yielding.
         is_shared: the program takes long to make, as `padded` says.
     """
     samples = padded(max(len(record) for record in records), is_shared)
@@ -172,11 +172,11 @@ def imposed_grid(
 
 
 def _divisions(longest: float, yields: Sequence[float], steepest: AbstractSpringLaw) -> tuple[float, float, float]:
-    """Number of steps for a path of an imposed elongation: to be exact, at least, and for a stable integration.
+    """Numbers of steps for a path of an imposed elongation: for accuracy, the least number, and for a stable integration.
 
     Arguments:
         longest: the path [m].
-        yields: elongations [m] at which the specimen may yield; those that are no positive numbers tell nothing.
+        yields: elongations [m] at which the specimen may yield; values that are not positive are ignored.
         steepest: the law where its priors make it yield soonest.
     """
     yielding = min((value for value in yields if math.isfinite(value) and value > 0), default=math.inf)

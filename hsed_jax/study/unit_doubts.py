@@ -24,8 +24,8 @@ DRIFT = (1e-6, 0.5)
 PERIOD = (1e-3, 20.0)
 """Plausible first period [s]; the tallest buildings and seismic isolation end near 10 s, stiff machines begin near 1e-3 s."""
 EVERY = "all"
-"""What a doubt of the structure is of, instead of an experiment."""
-_MOMENTS = 4000  # of a planned motion, whose peak is looked for
+"""Name instead of an experiment in a doubt of the structure."""
+_MOMENTS = 4000  # samples of a planned motion, to find its peak
 
 
 def unit_doubts(built: Built) -> list[Finding]:
@@ -43,7 +43,7 @@ def unit_doubts(built: Built) -> list[Finding]:
 
 
 def drift_doubts(campaign: Campaign, height: float) -> Iterator[Finding]:
-    """Drift ratios that no structure has.
+    """Implausible drift ratios.
 
     Arguments:
         campaign: the measurements.
@@ -70,7 +70,7 @@ def drift_doubts(campaign: Campaign, height: float) -> Iterator[Finding]:
 
 
 def period_doubts(built: Built) -> Iterator[Finding]:
-    """A first period, in the middle of the priors, that no structure has."""
+    """An implausible first period in the middle of the priors."""
     mechanics = built.mechanics
     structure = mechanics.structure
     if structure is None or isinstance(built.study.model, CalledEntry):
@@ -85,7 +85,7 @@ def period_doubts(built: Built) -> Iterator[Finding]:
 
 
 def planned_doubts(built: Built, campaign: Campaign) -> Iterator[Finding]:
-    """Measured motions whose peak is that of the excitation of the study but for the factor between two units."""
+    """Measured motions whose peak differs from that of the excitation of the study by the factor between two units."""
     planned = built.experiments.excitation
     if planned is None:
         return

@@ -22,7 +22,7 @@ def add_commands(commands: Any) -> None:
         action="append",
         default=[],
         metavar="KEY=V1,V2,...",
-        help="sweep a key over these values; said several times, every combination is run",
+        help="sweep a key over these values; may be given several times, and every combination is run",
     )
     sweep.add_argument(
         "--grid",
@@ -35,11 +35,11 @@ def add_commands(commands: Any) -> None:
         action="append",
         default=[],
         metavar="KEY=LOW,HIGH",
-        help="a range that --samples draws from; a distribution such as {loguniform: [0.01, 0.1]} may stand for it",
+        help="a range that --samples draws from; or a distribution such as {loguniform: [0.01, 0.1]}",
     )
     sweep.add_argument("--output", metavar="DIR", help="folder of the sweep (default: runs/<study>_sweep)")
     existing = sweep.add_mutually_exclusive_group()
-    existing.add_argument("--resume", action="store_true", help="run what has not completed in the folder")
+    existing.add_argument("--resume", action="store_true", help="run the studies in the folder that have not completed")
     existing.add_argument("--force", action="store_true", help="replace the sweep in the folder")
     sweep.add_argument(
         "--workers", type=int, metavar="N", help="processes of this machine (default: one for each core)"
@@ -55,9 +55,7 @@ def add_commands(commands: Any) -> None:
     )
     sensitivity.add_argument("--output", metavar="DIR", help="write indices.nc and the figure into this folder")
     sensitivity.set_defaults(command=_sensitivity)
-    text = (
-        "calibrate materials of OpenSees on the tests of a study, and rank them by their error on what was not fitted"
-    )
+    text = "calibrate materials of OpenSees on the tests of a study, and rank them by their held-out error"
     laws = commands.add_parser("laws", help=text, description=text.capitalize() + ".")
     _add_study(laws, "override a key by its dotted path")
     laws.add_argument("--materials", metavar="NAME,NAME,...", help="the materials (default: all of the table)")
@@ -113,7 +111,7 @@ def _sweep(options: Any) -> int:
     print(done)
     if failed := done.count("failed"):
         listed = done.path / "failures.txt"
-        print(f"{failed} of {len(done.table)} studies failed: {listed} says why; --resume runs them again")
+        print(f"{failed} of {len(done.table)} studies failed: {listed} has the reasons; --resume runs them again")
     print(f"results in {done.path}: table.parquet, results.nc, figures/comparison.png")
     return 0
 
@@ -157,9 +155,7 @@ def _listed(option: str, given: list[str]) -> dict[str, list[Any]]:
     for word in given:
         key, equals, text = word.partition("=")
         if not (key and equals and text):
-            raise UserError(
-                f"{option} {word}: a key and its values are wanted, such as {option} error.relative=0.01,0.1"
-            )
+            raise UserError(f"{option} {word}: give a key and its values, such as {option} error.relative=0.01,0.1")
         if key in found:
             raise UserError(f"{key}: this key is swept twice")
         found[key] = parse_yaml(f"[{text}]", f"{option} {word}")
@@ -171,7 +167,7 @@ def _range(given: list[Any]) -> Any:
 
 
 def _grid(path: str) -> dict[str, Any]:
-    """A file that says what to sweep, in the words of `hsed_jax.sweep`."""
+    """A file with the points of a sweep, in the words of `hsed_jax.sweep`."""
     from hsed_jax.config.load import parse_yaml
 
     try:

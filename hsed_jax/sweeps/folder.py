@@ -1,8 +1,8 @@
 """The folder of a sweep: the only module that knows its layout.
 
 `sweep.yaml` is the plan, `runs/0001` the run folder of the first point and `outcomes/0001.json` how it ended, written by the
-process that ran it.  Table, results and figures are made of these, so that a kill at any moment loses at most the studies that
-were under way.
+process that ran it.  Table, results and figures are made from these files, so a kill at any moment loses at most the running
+studies.
 """
 
 import fcntl
@@ -28,12 +28,12 @@ class SweepFolder:
 
     Arguments:
         path: of the folder.
-        plan: what to run; None to go on with the plan in the folder.
-        resume: go on with what is there.
-        force: throw away what the sweep in it left.
+        plan: the studies to run; None to continue the plan in the folder.
+        resume: continue the existing run.
+        force: delete the files of the sweep in it.
 
     Raises:
-        UserError: the folder exists and neither was said, it holds something else, or another process has it.
+        UserError: the folder exists and neither option was given, it contains something else, or another process uses it.
     """
 
     def __init__(self, path: str | Path, plan: Plan | None, *, resume: bool, force: bool):
@@ -46,14 +46,14 @@ class SweepFolder:
             )
             # A sweep.yaml alone may be the user's own, of --grid.
             if occupied and not (self.path / "outcomes").is_dir():
-                raise UserError(f"{path} exists and is no folder of a sweep; choose another --output")
+                raise UserError(f"{path} exists and is not a folder of a sweep; choose another --output")
             if occupied and not (resume or force):
                 raise UserError(f"{path} holds a sweep already; say --resume to go on with it or --force to replace it")
             if resume and not written.is_file():
                 raise UserError(f"{path}: there is no sweep to resume; leave out --resume to start one")
             self.path.mkdir(parents=True, exist_ok=True)
             if (link := first_link(self.path, [".lock", *_OF_A_SWEEP])) is not None:
-                raise UserError(f"{link} is a symbolic link, and what the sweep writes would go elsewhere; remove it")
+                raise UserError(f"{link} is a symbolic link, which redirects the files of the sweep; remove it")
             self._lock = extend(self.path / ".lock")
         except OSError as error:
             raise UserError(f"{path} cannot be written to ({error.strerror}); choose another --output") from None
@@ -93,7 +93,7 @@ class SweepFolder:
         return [number for number, ended in ends if ended["status"] != "complete"]
 
     def note_failure(self, number: int, message: str, traceback: str) -> None:
-        """Note that a study could not be run to an end, where its process could not do so itself."""
+        """Record the failure of a study whose process could not record it."""
         note(self.path, number, {"status": "failed", "message": message, "traceback": traceback})
 
 
@@ -103,13 +103,13 @@ def run_folder(path: Path, number: int) -> Path:
 
 
 def note(path: Path, number: int, ended: dict[str, Any]) -> None:
-    """Write how the study of a point ended."""
+    """Write the outcome of the study of a point."""
     text = json.dumps(ended, indent=1, ensure_ascii=False) + "\n"
     write_whole(path / "outcomes" / f"{number + 1:04d}.json", text, f".{os.getpid()}.part")
 
 
 def outcome(path: Path, number: int) -> dict[str, Any]:
-    """How the study of a point ended; `{"status": "pending"}` if it has not, or if its results were deleted."""
+    """The outcome of the study of a point; `{"status": "pending"}` if it has not, or if its results were deleted."""
     try:
         ended = json.loads((path / "outcomes" / f"{number + 1:04d}.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -119,7 +119,7 @@ def outcome(path: Path, number: int) -> dict[str, Any]:
 
 
 def outcomes(path: Path, count: int) -> list[dict[str, Any]]:
-    """How the studies of all points ended."""
+    """The outcomes of the studies of all points."""
     return [outcome(path, number) for number in range(count)]
 
 
@@ -127,8 +127,8 @@ def outcomes(path: Path, count: int) -> list[dict[str, Any]]:
 def alone(path: Path, number: int) -> Iterator[None]:
     """Wait until no other process runs the study of a point, and keep it so.
 
-    A cluster starts a study again when it has lost sight of a worker, which may go on all the same; and a worker may outlive a
-    sweep that was killed.
+    A cluster starts a study again when it loses contact with a worker, which may still continue. A worker may also outlive a
+    killed sweep.
     """
     with extend(path / "outcomes" / f"{number + 1:04d}.lock") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -141,7 +141,7 @@ def _read(written: Path) -> Plan:
 
 
 def _agreed(path: str, before: Plan, now: Plan | None) -> Plan:
-    """The plan to go on with; refuses to mix two sweeps in one folder."""
+    """The plan to continue; refuses to mix two sweeps in one folder."""
     if now is None or now == before:
         return before
     what = "study" if now.study != before.study else "points"

@@ -22,14 +22,14 @@ FILE = "laws.json"
 
 @dataclass(frozen=True)
 class Law:
-    """A law and how it did.
+    """A law and its errors.
 
     Attributes:
         name: `opensees:` and a material, or the spring law, function or program of the study.
-        error_train, error_test: normalised RMS errors of what was fitted and of what was held out; None where there is none.
+        error_train, error_test: normalised RMS errors of the fitted and of the held-out data; None without such data.
         coverage: share of the held-out samples within the 90 % band.
         free: number of calibrated parameters.
-        failed: why there is no result; None where there is one.
+        failed: the reason for a missing result; None with a result.
     """
 
     name: str
@@ -47,12 +47,12 @@ class Law:
 
 @dataclass(frozen=True, repr=False)
 class Laws(Tabular):
-    """Laws of the same tests, the one that predicts best first.
+    """Laws calibrated on the same tests, in the order of their predictions.
 
     Attributes:
         study: name of the study.
         laws: in the order of their held-out errors; those that failed last.
-        noise_floor: the error that the noise alone would leave of what was held out, as the best law has it.
+        noise_floor: the held-out error of the noise alone, for the best law.
     """
 
     study: str
@@ -61,7 +61,7 @@ class Laws(Tabular):
 
     @property
     def best(self) -> Law | None:
-        """The law with the smallest held-out error; None where nothing was held out or all failed."""
+        """The law with the smallest held-out error; None without held-out data, or if all failed."""
         return self.laws[0] if self.laws and self.laws[0].error_test is not None else None
 
     def _table(self) -> Table:
@@ -74,7 +74,7 @@ class Laws(Tabular):
             notes.append(f"the noise alone would leave {self.noise_floor:.3f} of what was held out")
         told = "nothing was held out, so no law is ranked by its prediction; give experiments of the split test"
         if (best := self.best) is not None:
-            told = f"{best.name} predicts best what was not fitted: its error is {best.error_test:.3f}"
+            told = f"{best.name} predicts the held-out data best: its error is {best.error_test:.3f}"
         heads = ("law", "free", "error train", "error test", "coverage of 90 %")
         return Table(f"{self.study}: {told}", heads, rows, notes)
 
@@ -99,9 +99,9 @@ def laws(
         study: of a test whose elongation was imposed.
         materials: of OpenSees; by default all of the table.
         output: folder of the runs, one each; by default `runs/<study>_laws`.
-        resume: go on with the runs that are there.
+        resume: continue the existing runs.
         force: replace them.
-        tell: called with each law when it is done.
+        tell: called with each law at its end.
 
     Returns:
         The laws in order. A law whose run fails is among them with the reason.
@@ -115,7 +115,7 @@ def laws(
         found.best.name  # the law that predicts best what was not fitted
         ```
 
-        A mistake is told before anything is calibrated:
+        A mistake is reported before the calibrations:
 
         >>> study = hx.initial_study(hx.read_files("wall.csv"), "wall.yaml")
         >>> hx.laws(study, ["Pinchign4"])  # doctest: +ELLIPSIS
@@ -153,7 +153,7 @@ def laws(
 def _law(
     study: Study, name: str, model: dict[str, Any] | None, folder: Path, resume: bool, force: bool
 ) -> tuple[Law, float | None]:
-    """One law, calibrated and compared in a run folder of its own, and the noise floor of what was held out."""
+    """One law, calibrated and compared in a separate run folder, and the noise floor of the held-out data."""
     content = study.written()
     content["steps"], content["study"] = ["calibrate", "compare"], name.replace(":", "_")
     if model is not None:

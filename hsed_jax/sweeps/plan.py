@@ -31,7 +31,7 @@ class Plan:
 
     Attributes:
         study: the study that all points have in common, every default written out.
-        points: what is different in each.
+        points: the changed keys of each.
     """
 
     study: dict[str, Any]
@@ -39,7 +39,7 @@ class Plan:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Every key that is swept, in order."""
+        """Every swept key, in order."""
         return tuple(dict.fromkeys(key for point in self.points for key in point))
 
     def studies(self) -> list[Study]:
@@ -59,14 +59,14 @@ class Plan:
         campaigns, brought = {}, set()
         for number, study in enumerate(self.studies()):
             values = {(key, json.dumps(value)) for key, value in self.points[number].items()}
-            # Building takes up to half a second: a point of a grid is built for the values that none before it had.
+            # Building takes up to half a second: a point of a grid is built only if it has a new value.
             if values <= brought:
                 continue
             brought |= values
             where = study.experiments.campaign
             try:
                 built = Built(study, campaigns.get(where))
-                # Points have the measurements in common, as a rule, and reading them takes the longest.
+                # Points usually share the measurements, and reading them takes the longest time.
                 campaigns[where] = built.experiments.measured
                 if (measured := built.experiments.measured) is not None:
                     stop_at_errors(measured, study.measurements.accepted(measured), study.needs_loops)
@@ -101,7 +101,7 @@ def plan_of(
     """The product of a grid of values, listed points and sampled ranges, as far as they are given.
 
     Arguments:
-        study: what all have in common.
+        study: common to all points.
         values: lists of values by key.
         points: points as they are.
         ranges: ranges by key that are sampled.
@@ -151,7 +151,7 @@ def _sampled(ranges: Mapping[str, Range], samples: int | None, seed: int) -> lis
     if not ranges:
         raise UserError("samples need at least one range to be drawn from, such as --range error.relative=0.01,0.1")
     if samples is None or samples < 1:
-        raise UserError("ranges are sampled; say how many samples to draw, such as --samples 20")
+        raise UserError("ranges are sampled; give the number of samples, such as --samples 20")
     check_memory(f"samples: {samples}", samples * _POINT)
     columns = []
     cube = qmc.LatinHypercube(len(ranges), rng=seed).random(samples)
@@ -162,7 +162,7 @@ def _sampled(ranges: Mapping[str, Range], samples: int | None, seed: int) -> lis
 
 
 def _plain(value: Any) -> Any:
-    """A value as YAML has it: of NumPy's numbers and arrays, and of tuples, what they hold."""
+    """A value for YAML: numbers and arrays of NumPy, and tuples, as numbers and lists."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):

@@ -18,10 +18,10 @@ _ESTIMATES = ("map", "mean", "sd", "q05", "q95", "rhat", "ess_bulk")
 def table_of(path: Path, plan: Plan) -> pd.DataFrame:
     """A row per study, `number` (from 1) as index.
 
-    Columns: the swept keys by dotted path (what is neither number nor word as JSON); `status` (`complete`, `failed`,
-    `pending`), `message`, `seconds`; then what the summaries hold, where the steps ran: `map.A`, `mean.A`, `sd.A`, `q05.A`,
-    `q95.A`, `rhat.A`, `ess_bulk.A` of every parameter (SI), `divergences`, `log_evidence`, `error_train`, `error_test`,
-    `noise_floor`, `adequate`, `p_value`, `verdict`, `effects`, `error_train_improved`, `error_test_improved`,
+    Columns: the swept keys by dotted path (as JSON unless it is a number or a word); `status` (`complete`, `failed`,
+    `pending`), `message`, `seconds`; then the contents of the summaries, if the steps ran: `map.A`, `mean.A`, `sd.A`,
+    `q05.A`, `q95.A`, `rhat.A`, `ess_bulk.A` of every parameter (SI), `divergences`, `log_evidence`, `error_train`,
+    `error_test`, `noise_floor`, `adequate`, `p_value`, `verdict`, `effects`, `error_train_improved`, `error_test_improved`,
     `experiments`, `max_expected_improvement` at the end.
     """
     rows = []
@@ -88,7 +88,7 @@ def dataset_of(table: pd.DataFrame, keys: tuple[str, ...]) -> xr.Dataset:
 
 
 def failures(path: Path, plan: Plan) -> Iterator[tuple[int, str, str]]:
-    """Number (from 1), what was wrong in a line, and the traceback of every study that failed."""
+    """Number (from 1), fault in one line, and traceback of every study that failed."""
     for number, ended in enumerate(outcomes(path, len(plan.points))):
         if ended["status"] == "failed":
             yield number + 1, f"{described(plan.points[number])}: {ended['message']}", ended["traceback"]

@@ -54,7 +54,7 @@ class Sweep(Tabular):
 
     @cached_property
     def units(self) -> dict[str, str]:
-        """SI unit of every parameter that was calibrated."""
+        """SI unit of every calibrated parameter."""
         found = {}
         for ended in outcomes(self.path, len(self.plan.points)):
             found |= ended.get("units", {})
@@ -62,11 +62,11 @@ class Sweep(Tabular):
 
     @cached_property
     def failures(self) -> dict[int, str]:
-        """What was wrong with each study that failed, with its traceback, by number."""
+        """The fault of each study that failed, with its traceback, by number."""
         return {n: f"{about}\n{trace}" for n, about, trace in results.failures(self.path, self.plan)}
 
     def count(self, status: str) -> int:
-        """How many studies are `complete`, `failed` or `pending`."""
+        """Numbers of studies that are `complete`, `failed` or `pending`."""
         return sum(found == status for found in self.table["status"])
 
     def figure(self) -> Picture:
@@ -105,18 +105,18 @@ def sweep(
 ) -> Sweep:
     """Run a study many times with some of its keys changed.
 
-    Studies run in processes of this machine, a core each, unless a Dask cluster is named. A process that dies is replaced, and
-    its study goes on where it was; a study that fails is listed with its traceback, and the sweep goes on. A script has to call
-    this below `if __name__ == "__main__":`, as all that starts processes in Python.
+    Studies run in processes of this machine, a core each, unless a Dask cluster is named. A process that dies is replaced,
+    and its study continues from its journal. A study that fails is listed with its traceback, and the sweep continues. A
+    script must call this below `if __name__ == "__main__":`, like all code that starts processes in Python.
 
     Arguments:
-        study: what all have in common.
+        study: common to all points.
         values: lists of values by dotted path, such as `{"seed": [0, 1, 2]}`; every combination is run.
         points: points as they are, such as `[{"seed": 0}, {"seed": 3}]`.
         ranges: low and high, or a distribution, by dotted path, from which `samples` points are drawn.
         samples: how many, by Latin hypercube.
         output: the folder of the sweep; by default `runs/<study>_sweep`.
-        resume: go on with the sweep in the folder: run what has not completed. Its points need not be given again.
+        resume: continue the sweep in the folder: run the studies that have not completed. The points need not be given again.
         force: replace the sweep in the folder.
         n_workers: processes of this machine; by default as many as cores.
         scheduler: address of a Dask scheduler whose workers see the same file system; give them a thread each.
@@ -141,7 +141,7 @@ def sweep(
         distant = workers.remote_client(scheduler)
     elif slurm is not None:
         distant = workers.slurm_client(slurm)
-    # A cluster that does not answer is found out before anything is written.
+    # A cluster without an answer is refused before anything is written.
     with distant as client, closing(SweepFolder(output, plan, resume=resume, force=force)) as folder:
         if plan is None and folder.plan.study != study.written():
             raise UserError(f"{output} holds a sweep of another study; resume with the study it was started with")
@@ -159,7 +159,7 @@ def sweep(
 
 
 def gather(folder: SweepFolder) -> Sweep:
-    """Make table, dataset, failures and figure of what has come out so far, and write them."""
+    """Make table, dataset, failures and figure from the outcomes so far, and write them."""
     made = Sweep(folder.path, folder.plan, results.table_of(folder.path, folder.plan))
     write_whole(folder.path / "table.parquet", made.table.to_parquet())
     write_netcdf(folder.path / "results.nc", made.dataset)

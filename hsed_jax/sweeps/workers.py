@@ -31,7 +31,7 @@ _lean: int | None = None
 
 
 def run_point(path: str, number: int, study: Mapping[str, Any], pin: bool) -> str:
-    """Run the study of a point to its end, in the process of a worker, and note how it ended.
+    """Run the study of a point to its end, in the process of a worker, and record its outcome.
 
     Arguments:
         path: the folder of the sweep.
@@ -68,7 +68,7 @@ def _forget() -> None:
 
 
 def _ended(here: Path, study: Mapping[str, Any]) -> dict[str, Any]:
-    """Run a study in a folder; returns how it ended."""
+    """Run a study in a folder; returns the outcome."""
     from hsed_jax.config.load import load_study
     from hsed_jax.runs.workflow import run
 
@@ -76,7 +76,7 @@ def _ended(here: Path, study: Mapping[str, Any]) -> dict[str, Any]:
     try:
         done = run(load_study(dict(study)), here, resume=here.exists(), progress=False, figures=False)
         ended = {"status": "complete", "units": done.built.mechanics.units}
-    except (Exception, SystemExit) as error:  # a laboratory may leave by an exit
+    except (Exception, SystemExit) as error:  # a laboratory may call exit
         message = " ".join(str(error).split()) or type(error).__name__
         if not isinstance(error, UserError):
             message = f"{type(error).__name__}: {message}"
@@ -85,7 +85,7 @@ def _ended(here: Path, study: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _take_one_core() -> None:
-    """Every worker of this machine its own core, in turn."""
+    """Assign a core to every worker of this machine."""
     from distributed import get_worker
 
     if not hasattr(os, "sched_setaffinity"):
@@ -115,7 +115,7 @@ def local_client(workers: int | None, tasks: int) -> "Iterator[Client]":
         "distributed.admin.tick.limit": "1h",
     }
     with ExitStack() as stack:
-        # What workers write goes with them; a last one may still be at it.
+        # The files of the workers are deleted with them; a last worker may still be writing.
         settings["temporary-directory"] = stack.enter_context(TemporaryDirectory(ignore_cleanup_errors=True))
         stack.enter_context(dask.config.set(settings))
         with _deaf():
@@ -124,7 +124,7 @@ def local_client(workers: int | None, tasks: int) -> "Iterator[Client]":
                     n_workers=min(workers or available, tasks),
                     threads_per_worker=1,
                     memory_limit=0,
-                    # No dashboard; without an address its server would take, and complain about, a port of its own choice.
+                    # No dashboard; without an address its server would choose a port and print warnings about it.
                     dashboard_address="127.0.0.1:0",
                     scheduler_kwargs={"dashboard": False},
                     silence_logs=logging.CRITICAL,
@@ -137,8 +137,8 @@ def local_client(workers: int | None, tasks: int) -> "Iterator[Client]":
 def _deaf() -> Iterator[None]:
     """Keep Ctrl-C and termination from the threads that are started meanwhile and all processes that these start.
 
-    A terminal sends Ctrl-C to every process, but it is the sweep that ends its workers; and a cluster that is interrupted
-    while it starts leaves them behind.
+    A terminal sends Ctrl-C to every process, but the sweep itself must end its workers. A cluster that is interrupted during
+    its start would leave them running.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
@@ -149,7 +149,7 @@ def _deaf() -> Iterator[None]:
 
 @contextmanager
 def remote_client(address: str) -> "Iterator[Client]":
-    """A Dask cluster that is there.
+    """An existing Dask cluster.
 
     Raises:
         UserError: no scheduler answers at the address.
@@ -158,7 +158,7 @@ def remote_client(address: str) -> "Iterator[Client]":
 
     try:
         client = Client(address, timeout=_PATIENCE, set_as_default=False)
-    except Exception as error:  # also what something else that answers makes of it
+    except Exception as error:  # also errors of another server at the address
         raise UserError(f"no Dask scheduler answers at {address} ({error}); start one with: dask scheduler") from None
     with client:
         yield client
@@ -172,7 +172,7 @@ def slurm_client(settings: Mapping[str, Any]) -> "Iterator[Client]":
         settings: `jobs`, how many; the rest as `dask_jobqueue.SLURMCluster` has them (queue, account, walltime, memory).
 
     Raises:
-        UserError: dask-jobqueue or Slurm is not there, or a setting is not known.
+        UserError: dask-jobqueue or Slurm is missing, or a setting is unknown.
     """
     try:
         from dask_jobqueue import SLURMCluster  # pyright: ignore[reportMissingImports] # an extra

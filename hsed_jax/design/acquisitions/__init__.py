@@ -1,6 +1,6 @@
 """The acquisitions that a study may name (`design.acquisition`), one file each.
 
-`base.py` says what an acquisition has.  No file is executed before its acquisition is asked for.
+`base.py` has the interface of acquisitions. A file is executed at the first use of its acquisition.
 """
 
 from typing import TYPE_CHECKING

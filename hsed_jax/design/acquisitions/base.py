@@ -1,6 +1,6 @@
 """The base of every acquisition: a utility of each candidate, from the Kriging model of the discrepancy.
 
-Utilities are logarithms, because the improvement still to be expected falls far below the smallest float before a campaign ends.
+Utilities are logarithms, because the expected improvement falls far below the smallest float before a campaign ends.
 """
 
 from abc import abstractmethod
@@ -20,11 +20,11 @@ LEAST_SCALE = 1e-60
 
 
 class AbstractAcquisition(eqx.Module):
-    """An acquisition; the first line of a subclass stands in the documentation.
+    """An acquisition; the documentation shows the first line of a subclass.
 
     Attributes:
-        use: what it is for, for the documentation.
-        is_order: whether it only puts the candidates in an order, which no cost changes.
+        use: its purpose, for the documentation.
+        is_order: whether it only orders the candidates, independently of costs.
         of_rivals: whether a diagnosis computes its utilities; they are then its argument.
     """
 
@@ -44,11 +44,11 @@ class AbstractAcquisition(eqx.Module):
 
     @staticmethod
     def lesson(value: float, discrepancies: Sequence[float | None]) -> str:
-        """The information that an experiment is expected to give, in a clause; empty if the choice ignores it.
+        """The expected information of an experiment, in a clause; empty if the choice ignores it.
 
         Arguments:
             value: the utility of the experiment, no logarithm.
-            discrepancies: of the experiments before it; None or NaN where there is none.
+            discrepancies: of the experiments before it; None or NaN if an experiment has none.
         """
         del value, discrepancies
         return ""

@@ -1,4 +1,4 @@
-"""The diagnosis's expectation of each candidate: how well the experiment separates the explanations."""
+"""The expected separation of the explanations of a diagnosis, for each candidate."""
 
 from collections.abc import Sequence
 from typing import ClassVar, final
@@ -21,7 +21,7 @@ class Discriminate(AbstractAcquisition):
         log_utilities: log of the expected log Bayes factor, of the first candidates; the other candidates are not chosen.
     """
 
-    use: ClassVar[str] = "to learn what is missing with few experiments"
+    use: ClassVar[str] = "to find the missing effect with few experiments"
     of_rivals: ClassVar[bool] = True
 
     log_utilities: Float[Array, " m"]
@@ -34,6 +34,6 @@ class Discriminate(AbstractAcquisition):
 
     @staticmethod
     def lesson(value: float, discrepancies: Sequence[float | None]) -> str:
-        """The expected log Bayes factor, and the odds that it makes."""
+        """The expected log Bayes factor, and the corresponding odds."""
         del discrepancies
         return f"a log Bayes factor of {value:.3g} between the remaining explanations: odds of {odds(value)}"

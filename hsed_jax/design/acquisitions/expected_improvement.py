@@ -103,7 +103,7 @@ def _standard_improvement(z: Float[Array, " M"], degrees: ScalarLike) -> tuple[F
     nu = jnp.asarray(degrees, dtype=z.dtype)
     wide = 1.0 + t**2 / nu
     log_density = _log_peak(nu) - 0.5 * (nu + 1.0) * jnp.log(wide)
-    # As a polynomial, the same for every t: no tail of its own, whose cost all candidates would bear.
+    # One polynomial for every t: a separate formula for the tail would be evaluated for all candidates.
     coefficients, last = _ratio_of_tails(nu)
     share = _CENTRE / (t / jnp.sqrt(wide) + _CENTRE)
     y = 4.0 * (1.0 - share) / (last + 1.0) - 1.0
@@ -120,8 +120,9 @@ def _log_peak(nu: Float[Array, ""]) -> Float[Array, ""]:
 def _ratio_of_tails(nu: Float[Array, ""]) -> tuple[Float[Array, " q"], Float[Array, ""]]:
     """Coefficients of (1 + s/c)²H(t)/(ψ(t)(1 + t²/ν)) as a polynomial, lowest power first, and the last place v of its domain.
 
-    Of s = t/√(1 + t²/ν), which goes from 0 to √ν, at v = (s − c)/(s + c), −1 to `last`, stretched to −1 to 1; c is `_CENTRE`.
-    The ratio without its factor is ∫ x (1 + (2sx + x²)/ν)^(−(ν + 1)/2) dx over x > 0: smooth in s, and exact to 1e-13 here.
+    The variable is s = t/√(1 + t²/ν), which goes from 0 to √ν, at v = (s − c)/(s + c), −1 to `last`, stretched to −1 to 1; c
+    is `_CENTRE`. The ratio without its factor is ∫ x (1 + (2sx + x²)/ν)^(−(ν + 1)/2) dx over x > 0: smooth in s, and exact to
+    1e-13 here.
     """
     last = (jnp.sqrt(nu) - _CENTRE) / (jnp.sqrt(nu) + _CENTRE)
     v = 0.5 * (_POINTS + 1.0) * (last + 1.0) - 1.0
@@ -130,5 +131,5 @@ def _ratio_of_tails(nu: Float[Array, ""]) -> tuple[Float[Array, " q"], Float[Arr
     x = width * _NODES / (1.0 - _NODES)
     height = x * jnp.exp(-0.5 * (nu + 1.0) * jnp.log1p((2.0 * s[:, None] * x + x**2) / nu))
     values = (1.0 + s / _CENTRE) ** 2 * ((height * width) @ (_SHARES / (1.0 - _NODES) ** 2))
-    # Not by the product of both matrices, whose entries are so large that they would cancel.
+    # The product of both matrices is not used, because its large entries would cancel.
     return jnp.asarray(_POWERS @ (_FITTED @ values)), last

@@ -14,7 +14,7 @@ from hsed_jax.registry import register
 @final
 @register
 class MaxVariance(AbstractAcquisition):
-    """Where the discrepancy is known least (Eq. 11)."""
+    """Where the variance of the discrepancy is largest (Eq. 11)."""
 
     use: ClassVar[str] = "a map of the discrepancy"
 
@@ -27,4 +27,4 @@ class MaxVariance(AbstractAcquisition):
     def lesson(value: float, discrepancies: Sequence[float | None]) -> str:
         """The place where the variance is largest."""
         del value, discrepancies
-        return "the error of the model where it is known least"
+        return "the error of the model where it is most uncertain"

@@ -1,1 +1,1 @@
-"""The discrepancy of a model beyond its noise, learned with its parameters: over the inputs, or over the response cycles."""
+"""The model discrepancy beyond the noise, learned with the parameters: over the inputs, or over the response cycles."""

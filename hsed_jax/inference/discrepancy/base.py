@@ -9,10 +9,10 @@ from jaxtyping import Array, Float
 
 
 class AbstractDiscrepancy(eqx.Module):
-    """A discrepancy of a model, in units of the error.
+    """A model discrepancy, in units of the error.
 
     Attributes:
-        amplitudes: by output; zero where there is no discrepancy.
+        amplitudes: by output; zero without a discrepancy.
     """
 
     amplitudes: eqx.AbstractVar[Float[Array, " G"]]
@@ -20,16 +20,16 @@ class AbstractDiscrepancy(eqx.Module):
     @property
     @abstractmethod
     def settling(self) -> tuple[Array, ...]:
-        """What changes as the MAP moves."""
+        """The quantities that change with the MAP."""
 
     @property
     @abstractmethod
     def whitening(self) -> Callable[[Float[Array, "n J"]], Any]:
-        """What makes the residuals of the experiments independent."""
+        """The transformation that makes the residuals of the experiments independent."""
 
     @abstractmethod
     def reach(self, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
-        """How far it is correlated, in numbers.
+        """Its correlation lengths, in numbers.
 
         Arguments:
             names: of the inputs.

@@ -1,8 +1,8 @@
-r"""The discrepancy of a model of histories beyond its noise, learned with its parameters: a process over the cycles of the
+r"""The model discrepancy of histories beyond the noise, learned with the parameters: a process over the cycles of the
 response.
 
-For experiment e and channel g, in units of the error, with φ the number of cycles that the predicted response has gone through
-and s² in proportion to their amplitude,
+For experiment e and channel g, in units of the error, with φ the number of cycles of the predicted response so far and s² in
+proportion to their amplitude,
 
 $$\delta_{eg} = a_g\,s_{eg}\,\zeta_{eg}(\varphi_{eg}) + \partial_\theta z_{eg}\,b_e,\qquad
   \zeta \sim GP\big(0, k(\cdot\,; f, Q)\big),\qquad b_e\sim N(0, \operatorname{diag}\beta^2).$$
@@ -10,23 +10,24 @@ $$\delta_{eg} = a_g\,s_{eg}\,\zeta_{eg}(\varphi_{eg}) + \partial_\theta z_{eg}\,
 k is the covariance of a damped oscillator with f swings in a cycle and quality Q (Foreman-Mackey et al. 2017).  Its matrices
 are quasiseparable, so every operation costs O(n).  The variance grows with the amplitude.  This is a compromise between a
 constant error and an error in proportion to the motion, because errors of phase continue after the motion decays.  The second
-term is the difference of the best parameters between experiments: with a wrong model, every experiment has best parameters of
-its own, and a few experiments determine their mean only roughly.
+term is the variation of the best parameters between experiments: with a wrong model, every experiment has its own best
+parameters, and a few experiments determine their mean only roughly.
 
-θ are the parameters that predict best over such experiments, in squares of the error.  Over these experiments, δ is on average
-orthogonal to the sensitivities J of the parameters (Plumlee 2017).  In the experiments at hand it is not, by chance.  So J
-splits the information in C₀ = N + K, the covariance of noise and discrepancy.  The part along J determines the parameters.  The
-part across J, which the parameters do not change, determines the process.  With both parts independent,
+θ are the parameters that predict best over such experiments, in squares of the error.  Over these experiments, δ is on
+average orthogonal to the sensitivities J of the parameters (Plumlee 2017).  In the performed experiments it has a random
+component along J. Therefore J splits the information in C₀ = N + K, the covariance of noise and discrepancy.  The part along
+J determines the parameters.  The part across J, which the parameters do not change, determines the process.  With both parts
+independent,
 
 $$z^\top C^{-1}z = z^\top J\,(J^\top C_0 J)^{-1}J^\top z + z^\top Q_0 z,\qquad
   Q_0 = C_0^{-1} - C_0^{-1}J\,(J^\top C_0^{-1}J)^{-1}J^\top C_0^{-1},$$
 
-the estimate is that of least squares, with its covariance $(J^\top J)^{-1}J^\top C_0J\,(J^\top J)^{-1}$ for correlated errors.
-Generalised least squares, without the split, would rely on the changes from sample to sample, and its parameters would not
-predict best. $Q_0$ has this fault where predictions are nonlinear in the parameters.  Therefore the likelihood of the
-parameters has $\kappa^2$ times the square of the part across J instead of $Q_0$, where κ² is the least weight of any direction
-along J.  This is a power likelihood with a power of its own in each direction (Chandler & Bate 2007).  Its maximum is the point
-of least squares.
+the estimate is that of least squares, with its covariance $(J^\top J)^{-1}J^\top C_0J\,(J^\top J)^{-1}$ for correlated
+errors. Generalised least squares, without the split, would rely on the changes from sample to sample, and its parameters
+would not predict best. $Q_0$ has this fault where predictions are nonlinear in the parameters.  Therefore the likelihood of
+the parameters has $\kappa^2$ times the square of the part across J instead of $Q_0$, where κ² is the least weight of any
+direction along J.  This is a power likelihood with a separate power for each direction (Chandler & Bate 2007).  Its maximum
+is the point of least squares.
 """
 
 import math
@@ -55,11 +56,11 @@ class Splitting(eqx.Module):
     Attributes:
         along: the sensitivities of the outputs with a discrepancy, (nJ, p).
         factor: of Jᵀ C₀ J, (p, p).
-        basis: orthonormal, of what J spans, (nJ, p).
+        basis: orthonormal, of the columns of J, (nJ, p).
         across: κ.
         wrong: 1 where a discrepancy is learned, (n, J).
         memory: ρ of the noise of the others, (n, J).
-        worth: root of what their samples count for, (n, J).
+        worth: root of the effective number of their samples, (n, J).
         log_determinant: of C.
     """
 
@@ -86,7 +87,7 @@ class OverCycles(AbstractDiscrepancy):
     """A discrepancy of histories, in units of the error.
 
     Attributes:
-        amplitudes: a_g, the RMS of a_g s ζ over the samples that were fitted; zero where there is no discrepancy, (G,).
+        amplitudes: a_g, the RMS of a_g s ζ over the samples that were fitted; zero without a discrepancy, (G,).
         swings, quality: f and Q.
         spread: β, of the parameters between experiments, along u, (p,).
         reference: amplitude of a cycle, in units of the error, of which s is one, (G,).
@@ -95,7 +96,7 @@ class OverCycles(AbstractDiscrepancy):
         along: J at all samples; zero of an output without a discrepancy, (n, G, m, p).
         used: 1 where there is a measurement, (n, G, m).
         memory: ρ of the noise, (n, G, m).
-        worth: root of what samples count for where no discrepancy is learned, (n, G, m).
+        worth: root of the effective number of samples without a learned discrepancy, (n, G, m).
     """
 
     amplitudes: Float[Array, " G"]
@@ -165,7 +166,7 @@ def _each(table: Float[Array, "n G m"]) -> Float[Array, "nG m"]:
 
 
 def _scaled(matrix: SymmQSM, by: Float[Array, "nG m"]) -> SymmQSM:
-    """Rows and columns multiplied."""
+    """The matrix with scaled rows and columns."""
     lower = matrix.lower
     rows = by[..., None]
     return SymmQSM(DiagQSM(matrix.diag.d * by**2), StrictLowerTriQSM(rows * lower.p, rows * lower.q, lower.a))
@@ -187,7 +188,7 @@ class Products:
     Attributes:
         factor: of each history.
         whitened: the columns, by that, (n, Gm, k).
-        held: factor of I + GᵀG, G what b adds, whitened, (n, p, p).
+        held: factor of I + GᵀG, with G the whitened contribution of b, (n, p, p).
         across: [z, J]ᵀ C₀⁻¹ [z, J].
         along: factor of Jᵀ C₀ J.
         products: as asked for.
@@ -207,7 +208,7 @@ class Products:
             self.held, jnp.einsum("nkp,nkc->npc", own, self.whitened)
         )
         self.across = jnp.einsum("nkc,nkd->cd", self.whitened, self.whitened) - jnp.einsum("npc,npd->cd", taken, taken)
-        # Of C₀ itself.
+        # Log determinant of C₀ itself.
         spread = jax.vmap(SymmQSM.matmul)(covariance, each[..., 1:]).reshape(n, -1, size)
         gram = jnp.einsum("nkp,nkq->npq", plain[..., 1:], plain[..., 1:])
         inner = jnp.einsum("nkp,nkq->pq", plain[..., 1:], spread)
@@ -269,7 +270,7 @@ def _conditional(process: OverCycles, z: Float[Array, "n J"]):
     each = found.whitened.reshape(n * outputs, m, -1)
     told, left = jax.vmap(of_history)(found.factor, oscillation, covariance, size, on, each)
     told = told.reshape(n, outputs * m, -1)
-    # What ζ does not take of the sensitivities, and b of the columns.
+    # The part of the sensitivities that ζ does not explain, and the part of the columns that b does not explain.
     open_along = everywhere - told[..., 1:]
     own = found.whitened[..., 1:] * process.spread
     amounts = jax.vmap(lambda factor, x: cho_solve((factor, True), x))(
@@ -285,5 +286,5 @@ def _conditional(process: OverCycles, z: Float[Array, "n J"]):
     )
     of_common = jax.vmap(lambda x: solve_triangular(common, x.T, lower=True))(rest)
     variance = left.reshape(n, -1) + jnp.sum(of_own**2, axis=1) + jnp.sum(of_common**2, axis=1)
-    # z is predicted less measured: the model falls short by −z.
+    # z is predicted minus measured: the model is too small by −z.
     return -mean, variance

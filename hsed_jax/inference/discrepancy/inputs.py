@@ -1,4 +1,4 @@
-r"""The discrepancy of a model beyond its noise, learned with its parameters: a Gaussian process over the inputs.
+r"""The model discrepancy beyond the noise, learned with the parameters: a Gaussian process over the inputs.
 
 Kennedy & O'Hagan (2001) observe $y_j(x) = f_j(x,\theta) + \delta_j(x) + \epsilon$.  In units of the error (of the logarithm,
 for a relative error),
@@ -53,8 +53,8 @@ class Support(NamedTuple):
     Attributes:
         names: of the inputs.
         cube: from inputs by name in SI, each (n,), to points of the unit cube (n, d).
-        spread: conditions that represent the distribution of the inputs; None where the model answers only experiments that
-            were made, which then represent it.
+        spread: conditions that represent the distribution of the inputs; None if the model can only predict performed
+            experiments, which then represent it.
     """
 
     names: tuple[str, ...]
@@ -80,7 +80,7 @@ class Whitening(eqx.Module):
 
 
 def none_of(data: Data) -> Whitening:
-    """Of a model that is not wrong: the residuals are independent as they are."""
+    """For a correct model: the residuals are already independent."""
     return Whitening(jnp.eye(data.values.size), jnp.zeros(()))
 
 
@@ -89,10 +89,10 @@ class Process(AbstractDiscrepancy):
     """A discrepancy over the inputs, in units of the error.
 
     Attributes:
-        amplitudes: a_j by column; zero where there is no discrepancy, (J,).
+        amplitudes: a_j by column; zero without a discrepancy, (J,).
         lengths: of correlation, in shares of the inputs' distributions, (d,).
         measure: points that the orthogonality is taken over, (M, d).
-        across: orthonormal directions there that the process has no part in, (M, J, r).
+        across: orthonormal directions there, to which the process is orthogonal, (M, J, r).
         at: points of the experiments, (n, d).
         used: 1 where there is a measurement, (n, J).
     """
@@ -106,12 +106,12 @@ class Process(AbstractDiscrepancy):
 
     @property
     def settling(self) -> tuple[Array, ...]:
-        """What changes as the MAP moves."""
+        """The quantities that change with the MAP."""
         return tuple(jax.tree.leaves(self))
 
     @property
     def whitening(self) -> Whitening:
-        """What makes the residuals of the experiments independent."""
+        """The transformation that makes the residuals of the experiments independent."""
         return _whitening(self)
 
     def reach(self, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
@@ -119,7 +119,9 @@ class Process(AbstractDiscrepancy):
         return {"length": dict(zip(names, np.asarray(self.lengths).tolist(), strict=True))}
 
     def conditional(self, points: Float[Array, "m d"]) -> tuple[Float[Array, "mJ nJ"], Float[Array, "m J"]]:
-        """What the residuals z of the experiments are multiplied with to give the mean of δ at other points, and its variance."""
+        """The matrix that gives the mean of δ at other points from the residuals z of the experiments, and the variance
+        of δ.
+        """
         return _conditional(self, points)
 
 
@@ -135,13 +137,13 @@ def _conditional(process: Process, points: Float[Array, "m d"]):
     between = _orthogonal(process, points, process.at) * used
     whitened = solve_triangular(_factor(process), between.T, lower=True)
     variance = _variances(process, points).ravel() - jnp.sum(whitened**2, axis=0)
-    # z is predicted less measured: the model falls short by −z.
+    # z is predicted minus measured: the model is too small by −z.
     weights = -solve_triangular(_factor(process), whitened, lower=True, trans=1).T
     return weights, jnp.maximum(variance, 0.0).reshape(len(points), -1)
 
 
 def _factor(process: Process) -> Float[Array, "N N"]:
-    """Cholesky factor of C = I + K⊥; rows of the identity where nothing was measured."""
+    """Cholesky factor of C = I + K⊥; rows of the identity without a measurement."""
     used = process.used.ravel()
     covariance = used[:, None] * _orthogonal(process, process.at, process.at) * used
     return jnp.linalg.cholesky(covariance + jnp.eye(len(used)))
@@ -188,8 +190,8 @@ def learn(
         data: measured quantities.
         u: unconstrained coordinates of the MAP.
         wrong: by output, whether its discrepancy is learned.
-        support: what it is a function of.
-        previous: where the search starts, too.
+        support: its variables.
+        previous: another start of the search.
     """
     z, along, ok = linearised(posterior, data, u)
     used = ((data.weights > 0) & (ok[:, None] > 0)).astype(float)

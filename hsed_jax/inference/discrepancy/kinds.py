@@ -1,4 +1,4 @@
-"""Which discrepancy a study has: of quantities one over the inputs, of histories one over the cycles of the response."""
+"""The model discrepancy of a study: for quantities over the inputs, for histories over the cycles of the response."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -15,7 +15,7 @@ from hsed_jax.inference.posterior import Posterior
 
 
 def none_yet(posterior: Posterior, data: Data) -> Data:
-    """The data of a model that is not wrong, as a discrepancy will have them: one program serves both."""
+    """The data of a correct model in the form of data with a discrepancy, so that one program serves both."""
     if not _is_of_histories(posterior):
         return data._replace(decorrelation=inputs.none_of(data))
     return data._replace(decorrelation=cycles.none_of(data, len(posterior.names)))
@@ -35,9 +35,9 @@ def learned(
         posterior: of the study.
         data: measured outputs.
         u: unconstrained coordinates of the MAP.
-        errors: of the outputs; they say of which it is learned.
-        support: what one of quantities is a function of.
-        previous: where the search starts, too.
+        errors: of the outputs; they state the outputs with a learned discrepancy.
+        support: the variables of a discrepancy of quantities.
+        previous: another start of the search.
     """
     wrong = np.asarray([error.discrepancy for error in errors], dtype=bool)
     if _is_of_histories(posterior):
@@ -48,7 +48,7 @@ def learned(
 
 
 def read_back(posterior: Posterior, arrays: Sequence[Array]) -> tuple[AbstractDiscrepancy, list[Array]]:
-    """A discrepancy that was kept as arrays, and those that follow it."""
+    """A discrepancy from stored arrays, and the remaining arrays."""
     kind = OverCycles if _is_of_histories(posterior) else Process
     size = len(fields(kind))
     return kind(*arrays[:size]), list(arrays[size:])
@@ -62,5 +62,5 @@ def summary(found: AbstractDiscrepancy, posterior: Posterior, support: Support |
 
 
 def _is_of_histories(posterior: Posterior) -> bool:
-    """Whether outputs are histories, of many samples each, and no quantities."""
+    """Whether outputs are histories with many samples each, instead of quantities."""
     return posterior.groups.size > len(posterior.outputs)

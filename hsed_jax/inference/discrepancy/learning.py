@@ -1,4 +1,4 @@
-"""The discrepancy of calibrated histories: what `hsed_jax.inference.discrepancy.cycles` is made of, the most probable."""
+"""The discrepancy of calibrated histories: the most probable parameters of `hsed_jax.inference.discrepancy.cycles`."""
 
 from typing import NamedTuple
 
@@ -22,7 +22,8 @@ from hsed_jax.inference.posterior import Posterior
 from hsed_jax.measurements import half_cycles
 from hsed_jax.programs import program
 
-# Log-normal priors of swings in a cycle and of quality: an error moves with the motion, and is forgotten after a few cycles.
+# Log-normal priors of swings in a cycle and of quality: an error follows the motion, and its correlation decays within
+# a few cycles.
 _SWINGS, _QUALITY = (1.0, 0.7), (3.0, 1.0)
 _SWINGS_WITHIN, _QUALITY_WITHIN = (0.05, 10.0), (0.55, 50.0)
 
@@ -61,14 +62,14 @@ def learn(
     wrong: Bool[np.ndarray, " G"],
     previous: OverCycles | None = None,
 ) -> OverCycles:
-    """The discrepancy of a calibrated model, what it is made of the most probable.
+    """The discrepancy of a calibrated model, with its most probable parameters.
 
     Arguments:
         posterior: of the study.
         data: measured histories.
         u: unconstrained coordinates of the MAP.
         wrong: by output, whether its discrepancy is learned.
-        previous: where the search starts, too.
+        previous: another start of the search.
     """
     outputs, p = len(wrong), u.size
     predicted, sigma, along, ok = map(np.asarray, sensitivities(posterior, data, u))
@@ -118,7 +119,7 @@ def learn(
 
 
 def _of_histories(sigma: Float[np.ndarray, "n G m"], used: Float[np.ndarray, "n G m"]) -> Float[np.ndarray, "n G 1"]:
-    """σ of every history, which is one where nothing is used: there that of other experiments."""
+    """σ of every history; where it is one because nothing is used, that of other experiments."""
     known = used.sum(axis=2, keepdims=True)
     own = (used * sigma).sum(axis=2, keepdims=True) / np.maximum(known, 1)
     others = own.sum(axis=0) / np.maximum((known > 0).sum(axis=0), 1)
@@ -142,7 +143,9 @@ def _with(empty: OverCycles, values: Float[Array, " h"], numbers: tuple[int, ...
 
 @program
 def _objective(values, empty: OverCycles, numbers: tuple[int, ...], z, stiffness):
-    """Minus the log posterior of what the process is made of, parameters integrated, and its derivative."""
+    """Minus the log posterior of the parameters of the process, with the parameters of the model integrated out, and
+    its derivative.
+    """
 
     def log_density(values):
         process = _with(empty, values, numbers)

@@ -15,9 +15,10 @@ from hsed_jax.programs import program
 def shortfall(
     process: OverCycles, posterior: Posterior, fitted: Data, u: Float[Array, " p"], data: Data
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """By how much predictions at the MAP fall short, SI.
+    """Mean error of predictions at the MAP, SI.
 
-    What was measured of an experiment says how it goes on; of another experiment the discrepancy is one more draw of the process.
+    The measurements of an experiment predict its continuation. For another experiment the discrepancy is a new draw of the
+    process.
 
     Arguments:
         process: the discrepancy.
@@ -57,7 +58,7 @@ def _residuals(posterior: Posterior, theta: Array, data: Data) -> Array:
 
 
 def _fitted_rows(fitted: Data, data: Data) -> np.ndarray:
-    """Of each experiment the row of the fitted one that it is, or goes on from; -1 of others, (n,)."""
+    """For each experiment, the row of the fitted experiment that it is or continues; -1 for others, (n,)."""
     ours = [np.asarray(leaf) for leaf in jax.tree.leaves(data.conditions)]
     theirs = [np.asarray(leaf)[: int(fitted.count)] for leaf in jax.tree.leaves(fitted.conditions)]
     rows = np.full(len(data.values), -1)
@@ -71,7 +72,7 @@ def _fitted_rows(fitted: Data, data: Data) -> np.ndarray:
         )
         both = known[row] & was_known[: len(alike)]
         alike &= np.all((measured[row] == before[: len(alike)]) | ~both, axis=1)
-        # Of several that it may go on from nobody knows which.
+        # If it may continue several experiments, the right one is unknown.
         if alike.sum() == 1:
             rows[row] = int(alike.argmax())
     return rows

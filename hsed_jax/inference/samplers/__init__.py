@@ -1,6 +1,6 @@
 """The samplers that a study may name (`calibration.sampler`), one file each.
 
-`base.py` says what a sampler has.  No file is executed before its sampler is asked to draw.
+`base.py` has the interface of samplers. A file is executed at the first use of its sampler.
 """
 
 from typing import TYPE_CHECKING

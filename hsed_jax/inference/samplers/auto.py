@@ -1,4 +1,4 @@
-"""Importance sampling where it can be trusted, otherwise NUTS."""
+"""Importance sampling if it is reliable, otherwise NUTS."""
 
 from typing import ClassVar, final
 
@@ -13,7 +13,7 @@ from hsed_jax.registry import register
 @final
 @register
 class Auto(AbstractSampler):
-    """`importance` where its weights can be trusted, otherwise `nuts`; the result says which of them it was."""
+    """`importance` if its weights are reliable, otherwise `nuts`; the result has the name of the sampler."""
 
     use: ClassVar[str] = "there is no reason for another one (the default)"
 

@@ -1,4 +1,4 @@
-"""What every sampler is: it draws from a posterior around one of its modes."""
+"""The interface of samplers: draws from a posterior around one of its modes."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar
@@ -8,11 +8,11 @@ from hsed_jax.inference.requested import Requested
 
 
 class AbstractSampler(ABC):
-    """A way to draw from a posterior around one of its modes; the first line of a subclass stands in the documentation.
+    """A method of drawing from a posterior around one of its modes; the documentation shows the first line of a subclass.
 
     Attributes:
-        state: what a report says of draws without a warning.  A sampler that leaves the draws to others has none: `Chains` name
-            the sampler that made them.
+        state: the sentence of a report on draws without a warning.  A sampler that leaves the draws to others has none:
+            `Chains` name the sampler that made them.
         use: when to choose it, for the documentation.
     """
 

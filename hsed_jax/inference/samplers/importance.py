@@ -12,9 +12,9 @@ from hsed_jax.registry import register
 @final
 @register
 class Importance(AbstractSampler):
-    """Weighted draws of a Student t around the mode: as exact as chains where the weights can be trusted, and faster.
+    """Weighted draws of a Student t around the mode: as exact as chains if the weights are reliable, and faster.
 
-    Their Pareto shape and their effective number of draws say where they can be trusted; otherwise the result has a warning.
+    The Pareto shape and the effective number of draws show whether they are reliable; otherwise the result has a warning.
     """
 
     state: ClassVar[str] = "draws by importance sampling"
@@ -22,5 +22,5 @@ class Importance(AbstractSampler):
 
     @staticmethod
     def draw(asked: Requested) -> Chains:
-        """Draws by importance sampling, with a doubt where the weights cannot be trusted."""
+        """Draws by importance sampling, with a doubt if the weights are unreliable."""
         return weighed(asked).chains()

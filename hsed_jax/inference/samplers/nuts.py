@@ -11,22 +11,22 @@ from hsed_jax.inference.samplers.base import AbstractSampler
 from hsed_jax.inference.samplers.laplace import Laplace
 from hsed_jax.registry import register
 
-# Draws of each chain that say anything of a posterior.
+# Least number of draws of each chain that represent a posterior.
 _TELLING = 10
 
 
 @final
 @register
 class Nuts(AbstractSampler):
-    """Markov chains by the no-U-turn sampler; the simulator weighs what an emulator draws."""
+    """Markov chains by the no-U-turn sampler; an emulator makes the draws, and the simulator weights them."""
 
     state: ClassVar[str] = "converged, no divergences"
-    use: ClassVar[str] = "chains are wanted, whatever they cost"
+    use: ClassVar[str] = "only chains are acceptable"
 
     @staticmethod
     def draw(asked: Requested) -> Chains:
-        """Draws by NUTS; draws of the Gaussian around the mode where the budget ends before there are enough of them."""
-        # The settings are the same whoever asks, so the compiled program is shared.
+        """Draws by NUTS; draws of the Gaussian around the mode if the budget ends before there are enough."""
+        # Settings are normalised so that the compiled program is shared.
         settings = asked.settings._replace(sampler="nuts")
         key, seconds, planned = jax.random.split(asked.key)[1], asked.seconds, settings.draws
         found = by_nuts(

@@ -1,7 +1,7 @@
 """The laboratories that a study may name (`experiments`), one file each.
 
-`base.py` says what a laboratory has.  Reading a study needs no JAX, so a file imports what performs its experiments in the method
-that makes it.
+`base.py` has the interface of laboratories.  Reading a study needs no JAX, so a file imports the laboratory itself only in
+the method that makes it.
 """
 
 from hsed_jax.laboratories.kinds.base import AbstractLaboratoryEntry

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 class Wanted(NamedTuple):
-    """What a study observes of the experiments.
+    """The observed outputs of the experiments of a study.
 
     Attributes:
         where: the key of the laboratory, for messages.
         channels: responses that are observed as histories; none where quantities are observed.
         quantities: quantities that are observed; none where histories are observed.
         sources: by quantity, the channels that it can be computed from.
-        driver: the channel that measures what drives the experiments.
+        driver: the channel that measures the excitation of the experiments.
     """
 
     where: str
@@ -41,7 +41,7 @@ class Wanted(NamedTuple):
 
 @runtime_checkable
 class Site(Protocol):
-    """What a laboratory may ask of the study whose experiments it performs (`hsed_jax.study.site.Site`)."""
+    """The information for a laboratory about the study whose experiments it performs (`hsed_jax.study.site.Site`)."""
 
     @property
     def folder(self) -> Path:
@@ -65,17 +65,17 @@ class Site(Protocol):
 
     @property
     def sensors(self) -> "Sensors":
-        """What is measured."""
+        """The sensors of the laboratory."""
         ...
 
     @property
     def programme(self) -> "Programme":
-        """What the experiments have in common."""
+        """The common properties of the experiments."""
         ...
 
     @property
     def driver(self) -> str:
-        """The channel that measures what drives the experiments."""
+        """The channel that measures the excitation of the experiments."""
         ...
 
     @property
@@ -107,15 +107,16 @@ class Site(Protocol):
 
 
 class AbstractLaboratoryEntry(Section):
-    """The section of a laboratory; the first line of a subclass stands in the documentation.
+    """The section of a laboratory; the documentation shows the first line of a subclass.
 
     A subclass is final, decorated by `register`, and its fields with their docstrings are the settings.
 
     Attributes:
-        performer: who performs the experiments, for a report.
-        use: what it is for, for the documentation.
+        performer: of the experiments, for a report.
+        use: its purpose, for the documentation.
         in_structure: whether it tests a specimen in the structure of the study.
-        is_asked: whether people perform what the step `design` asks, so that it cannot perform an initial design by itself.
+        is_asked: whether people perform the requests of the step `design`, so that it cannot perform an initial design by
+            itself.
         registered: whether it is a laboratory; `register` says so.
     """
 
@@ -138,7 +139,7 @@ class AbstractLaboratoryEntry(Section):
     @property
     @abstractmethod
     def described(self) -> str:
-        """What it tests, for a title."""
+        """The tested object, for a title."""
 
     def located(self, folder: Path) -> "AbstractLaboratoryEntry":
         """The same with absolute paths."""
@@ -147,10 +148,10 @@ class AbstractLaboratoryEntry(Section):
 
     @abstractmethod
     def sensors(self, wanted: Wanted) -> "Sensors":
-        """What it measures.
+        """The sensors of the laboratory.
 
         Raises:
-            UserError: an unknown channel or unit, or something observed that is not measured.
+            UserError: an unknown channel or unit, or an observed output that is not measured.
         """
 
     @abstractmethod
@@ -163,18 +164,17 @@ class AbstractLaboratoryEntry(Section):
 
 
 class MeasuredEntry(AbstractLaboratoryEntry):
-    """A laboratory outside this program: it declares what it measures as campaign.yaml does.
-
-    Without a declaration it measures what is observed, in SI.
+    """A laboratory outside this program: it declares its measurements as campaign.yaml does. Without a declaration it
+    measures the observed outputs, in SI.
     """
 
     channels: dict[str, ChannelEntry] = {}
-    """The channels of its records by name, the time among them."""
+    """The channels of its records by name, including the time."""
     quantities: dict[str, ChannelEntry] = {}
-    """The quantities that it hands over as numbers, by name."""
+    """The quantities that it returns as numbers, by name."""
 
     def sensors(self, wanted: Wanted) -> "Sensors":
-        """What it declares; without a declaration what is observed, in SI."""
+        """Its declaration; without one, the observed outputs in SI."""
         from hsed_jax.laboratories.sensors import Sensors
 
         histories, where = bool(wanted.channels), wanted.where
@@ -199,7 +199,7 @@ class MeasuredEntry(AbstractLaboratoryEntry):
 
 
 class SimulatedEntry(AbstractLaboratoryEntry):
-    """A laboratory that simulates: it measures what is observed, in SI, with the noise that the study declares."""
+    """A laboratory that simulates: it measures the observed outputs, in SI, with the noise that the study declares."""
 
     in_structure: ClassVar[bool] = True
 
@@ -207,10 +207,10 @@ class SimulatedEntry(AbstractLaboratoryEntry):
     """True values of the numbers of the structure that have priors (SI), by name without `structure.`, such as `mass_2`."""
     noise: NoisesEntry | None = None
     """Noise of its sensors, for all outputs or by output: `relative` (to the value of a quantity, to the RMS of a channel) or
-    `absolute` (SI). Give it where a diagnosis follows."""
+    `absolute` (SI). Give it if a diagnosis follows."""
 
     def sensors(self, wanted: Wanted) -> "Sensors":
-        """What is observed."""
+        """The observed outputs."""
         return self._measuring(wanted, wanted.channels, wanted.quantities)
 
     def _measuring(self, wanted: Wanted, channels: tuple[str, ...], quantities: tuple[str, ...]) -> "Sensors":
@@ -235,6 +235,6 @@ def si(names: Iterable[str], noise: Mapping[str, Noise]) -> dict[str, Channel]:
 
 
 def noise_of(sensors: "Sensors") -> dict[str, Noise]:
-    """The noise of what is measured, by name; nothing where there is none."""
+    """The noise of the measured outputs, by name; empty without noise."""
     measured = {**sensors.channels, **sensors.quantities}
     return {name: channel.noise for name, channel in measured.items() if channel.noise is not None}

@@ -1,4 +1,4 @@
-"""People or a controller: requests lie in a folder of the run, and the measurements arrive there days later."""
+"""People or a controller: requests are in a folder of the run, and the measurements arrive there days later."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 @final
 @register
 class FolderEntry(MeasuredEntry):
-    """It waits for people or a controller; `folder: {}` is enough where the names and SI units of the study are used."""
+    """It waits for people or a controller; `folder: {}` is enough for the names and SI units of the study."""
 
     performer: ClassVar[str] = "people or a controller"
     use: ClassVar[str] = "real specimens, days between request and measurement"
@@ -22,11 +22,11 @@ class FolderEntry(MeasuredEntry):
 
     @property
     def described(self) -> str:
-        """That people perform what is asked."""
+        """True: people perform the requests."""
         return "a laboratory that is asked by hand"
 
     def laboratory(self, site: Site) -> "Laboratory":
-        """A laboratory that performs nothing by itself."""
+        """A laboratory that performs no experiment by itself."""
         del site
         return FolderLaboratory()
 
@@ -36,7 +36,7 @@ class FolderLaboratory:
     """Performs nothing by itself; `hsed_jax.runs.ask_tell` writes its requests and takes its answers."""
 
     def perform(self, number: int, inputs: Mapping[str, float]) -> NoReturn:
-        """Say that it takes a while.
+        """Refuse, because the experiment is pending.
 
         Raises:
             Awaited: always.

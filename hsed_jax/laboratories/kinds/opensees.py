@@ -34,12 +34,13 @@ class OpenSeesEntry(SimulatedEntry):
     material: Literal["BoucWen", "BWBN", "Steel02"] | OwnMaterialEntry
     """The material of the specimen: `BoucWen`, `BWBN`, `Steel02`, or `{file: my_specimen.tcl}`."""
     parameters: dict[str, Number] = {}
-    """Parameters of the material (N, m), with the names of OpenSees; one that is left out is neutral."""
+    """Parameters of the material (N, m), with the names of OpenSees; an omitted parameter is neutral."""
     step: Positive | None = None
-    """Step of the analysis [s]; by default a fiftieth of that of the simulator. Smaller where a material is stiffer than the
-    structure."""
+    """Step of the analysis [s]; by default a fiftieth of that of the simulator. Use a smaller step if a material is
+    stiffer than the structure.
+    """
     timeout: Annotated[Number, Field(gt=0)] = 600.0
-    """How long one experiment may take [s]."""
+    """Time limit of one experiment [s]."""
 
     @property
     def described(self) -> str:
@@ -65,7 +66,7 @@ class OpenSeesEntry(SimulatedEntry):
         return self._measuring(wanted, channels, tuple(name for name in wanted.quantities if name in QUANTITIES))
 
     def laboratory(self, site: Site) -> "Laboratory":
-        """OpenSees in a process of its own."""
+        """OpenSees in a separate process."""
         from hsed_jax.laboratories import opensees
         from hsed_jax.laboratories.command import CommandLaboratory
 

@@ -41,7 +41,7 @@ class PythonEntry(MeasuredEntry):
 
     @property
     def described(self) -> str:
-        """That it is a function."""
+        """True: it is a function."""
         return "a specimen behind a Python function"
 
     def located(self, folder: Path) -> "PythonEntry":

@@ -29,8 +29,7 @@ class VirtualEntry(SimulatedEntry):
     effects: dict[str, TrueEffectEntry] = {}
     """Its true effects, in any form and with any driver: `{stiffness_degradation: {eta: 2.0e-5}}`."""
     test: Annotated[Whole, Field(ge=0)] = 0
-    """Number of further experiments that are performed for testing and never fitted; 4 shows whether an improvement holds where
-    nothing was fitted."""
+    """Number of further experiments that are performed for testing and never fitted; 4 are enough to test an improvement."""
 
     @property
     def code(self) -> list[str]:
@@ -44,7 +43,7 @@ class VirtualEntry(SimulatedEntry):
 
     @property
     def described(self) -> str:
-        """The law, where it is another one than the model's, and the effects."""
+        """The law, if it differs from that of the model, and the effects."""
         law = self.spring
         known = "" if law is None else f" ({law.law if isinstance(law, OwnLawEntry) else law})"
         return f"a virtual specimen{known} with {', '.join(self.effects) or 'no effects'}"

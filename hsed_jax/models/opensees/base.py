@@ -1,9 +1,9 @@
 """The base of every material of OpenSees in the table: parameters with units and priors, and the arguments in OpenSees' order.
 
-A material has few free parameters and is symmetric unless its parameter `negative` says otherwise.  A parameter that degrades
-something is zero where nothing degrades, and its prior is highest there.
+A material has few free parameters and is symmetric unless its parameter `negative` is free.  A parameter of degradation is
+zero without degradation, and its prior has its maximum there.
 
-Priors of parameters with units come from the record: `Scaled` says which mark of the record is in their middle.
+Priors of parameters with units come from the record: `Scaled` gives the mark of the record in their middle.
 """
 
 import math
@@ -32,7 +32,7 @@ class Marks(NamedTuple):
 
 
 NOTHING = Marks(math.nan, math.nan, math.nan, math.nan)
-"""The marks of no record."""
+"""The marks without a record."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Scaled:
     inverse: bool = False
 
     def prior(self, marks: Marks) -> dict[str, Any] | None:
-        """The prior as in a study; None where the record does not tell the mark."""
+        """The prior as in a study; None if the record does not determine the mark."""
         value = float(getattr(marks, self.mark))
         if not (math.isfinite(value) and value > 0):
             return None
@@ -77,8 +77,8 @@ class MaterialParameter:
         unit: in N, m and 1; the pair of the campaign translates it.
         meaning: one line.
         prior: as in a study, or scaled by the record; None: only a prior that the study gives.
-        value: what it is where the study leaves it out; None: it is free, with the prior.
-        lower, upper: bounds of what is possible.
+        value: its value if the study leaves it out; None: it is free, with the prior.
+        lower, upper: bounds of possible values.
     """
 
     symbol: str
@@ -91,12 +91,12 @@ class MaterialParameter:
 
     @property
     def range(self) -> str:
-        """What is possible, in words."""
+        """The possible range, in words."""
         low, high = (f"{bound:g}" if math.isfinite(bound) else "" for bound in (self.lower, self.upper))
         return " and ".join(filter(None, (low and f"at least {low}", high and f"at most {high}")))
 
     def prior_of(self, marks: Marks) -> dict[str, Any] | None:
-        """The prior for a record, as in a study; None where there is none or the record does not tell it."""
+        """The prior for a record, as in a study; None without one, or if the record does not determine it."""
         return (
             self.prior.prior(marks)
             if isinstance(self.prior, Scaled)
@@ -107,7 +107,7 @@ class MaterialParameter:
 
 
 class AbstractMaterial(ABC):
-    """A uniaxial material of OpenSees; the first line of a subclass stands in the documentation.
+    """A uniaxial material of OpenSees; the documentation shows the first line of a subclass.
 
     Attributes:
         name: of OpenSees.
@@ -135,7 +135,7 @@ def stiffness() -> MaterialParameter:
 
 
 def strength(symbol: str, meaning: str, factor: float) -> MaterialParameter:
-    """A force in the middle of which is a share of the largest one."""
+    """A force whose prior has a share of the largest force as its middle."""
     return MaterialParameter(symbol, "N", meaning, Scaled("force", factor, 0.4), lower=0.0)
 
 
@@ -157,7 +157,7 @@ def share(
 
 
 def damage(symbol: str, meaning: str, scale: float, value: float | None = None) -> MaterialParameter:
-    """A ratio that degrades something; zero changes nothing."""
+    """A ratio of degradation; zero changes nothing."""
     return MaterialParameter(symbol, "1", meaning, {"half_normal": scale}, value, lower=0.0)
 
 

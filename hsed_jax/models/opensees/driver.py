@@ -1,11 +1,11 @@
 """A script that imposes elongations on a material of OpenSees, request after request, until its standard input ends.
 
-It knows nothing of the package, so that the Python that has openseespy needs nothing else.  OpenSees is global to a process and
-prints what it likes; so the answers have a channel of their own, the standard output of the start, and what OpenSees prints goes
-to a file, whose end is told where a request fails.
+It does not use the package, so the Python with openseespy needs nothing else.  OpenSees is global to a process and prints
+messages. Therefore the answers use the original standard output, and the messages of OpenSees go to a file, whose end is
+reported if a request fails.
 
-It is started with the seconds that a simulation may take.  One that takes a second more ends the process, as no exception could:
-whoever asked may be gone, and OpenSees may never come back.
+Its argument is the time limit of a simulation in seconds. A simulation that exceeds it by a second ends the process: an
+exception is not sufficient, because the caller may have ended, and OpenSees may never return.
 
 A request is a line of JSON, `{"material": ..., "arguments": [...], "points": n}`, and n doubles, the elongations.  An answer is a
 line of JSON, `{"points": n}` or `{"error": ...}`, and n doubles, the forces.  The first answer is the version of OpenSees.

@@ -49,7 +49,7 @@ class Simulated:
 
 
 def finely(elongation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The path that OpenSees follows: from zero through the samples, in steps that are short.
+    """The path that OpenSees follows: from zero through the samples, in short steps.
 
     Arguments:
         elongation: samples (n,) [m].

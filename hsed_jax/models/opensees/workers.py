@@ -1,7 +1,7 @@
-"""Processes in which OpenSees simulates a material: several at a time, and none outlives this one.
+"""Processes in which OpenSees simulates a material: several at a time; all end with this process.
 
-OpenSees is global to a process, and a material may crash or run for ever.  A worker that dies or takes too long is a simulation
-that failed; the next request gets a new worker.
+OpenSees is global to a process, and a material may crash or run for ever.  A worker that dies or takes too long counts as a
+failed simulation; the next request gets a new worker.
 """
 
 import atexit
@@ -85,7 +85,7 @@ class _Worker:
     def __init__(self, python: str, timeout: float):
         self._timeout = timeout
         try:
-            # A session of its own: Ctrl-C at the terminal is ours to handle.
+            # A separate session: Ctrl-C at the terminal is ours to handle.
             self._process = subprocess.Popen(
                 [python, str(_DRIVER), str(math.ceil(timeout))],
                 stdin=subprocess.PIPE,
@@ -105,7 +105,7 @@ class _Worker:
         self.version = str(json.loads(line)["version"])
 
     def forces(self, material: str, arguments: Sequence[Any], path: np.ndarray) -> np.ndarray | str:
-        """The forces, or what OpenSees said against the material.
+        """The forces, or the error message of OpenSees.
 
         Raises:
             ExperimentFailed: there is no answer.
@@ -125,7 +125,7 @@ class _Worker:
             raise ExperimentFailed(f"OpenSees {how} while it simulated {material}") from None
 
     def _until(self, until: float, is_all: Callable[[bytes], bool], most: int) -> bytes:
-        """What the process says until it is all.
+        """The complete answer of the process.
 
         Raises:
             TimeoutError: the time is over.
@@ -148,7 +148,7 @@ class _Worker:
             try:
                 if stream is not None:
                     stream.close()
-            except OSError:  # what was not sent is of no use any more
+            except OSError:  # the unsent part is not needed
                 pass
 
 

@@ -39,7 +39,7 @@ class AppliedForce(AbstractRecord):
 
     @property
     def shortest_period(self) -> Scalar:
-        """So long [s] that a step is at most the interval between two samples: an impact must not fall between steps."""
+        """Period [s] for which a step is at most the interval between two samples: an impact must not fall between steps."""
         return _STEPS_PER_PERIOD * jnp.min(jnp.diff(self.time))
 
     def sample(self, time: Scalar) -> Applied:

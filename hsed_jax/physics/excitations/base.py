@@ -1,7 +1,7 @@
-"""What an excitation is: a function of time, and its samples on the half-step grid.
+"""The interface of excitations: a function of time, and its samples on the half-step grid.
 
-An excitation is a class of its own, declared for studies in `hsed_jax.physics.declared` and listed in `EXCITATIONS`.  How long it
-lasts, how fast it changes and what it is at an instant are its methods.
+An excitation is a class, declared for studies in `hsed_jax.physics.declared` and listed in `EXCITATIONS`.  Its methods give
+its duration, its rate of change and its value at an instant.
 
 The integrator asks for an excitation at the ends and the middle of every step, so each one is turned into a *forcing*: a carry
 and an `advance` that moves it by half a step.
@@ -51,7 +51,7 @@ def driven(sample: Any) -> tuple[Scalar, Mapping[int, Scalar]]:
 
 
 def channels_of(sample: Any) -> dict[str, Any]:
-    """A sample of an excitation, or a table of them, by the names of the channels that would measure it."""
+    """A sample of an excitation, or a table of samples, by the names of its channels."""
     if isinstance(sample, Imposed):
         return {"elongation": sample.elongation}
     if isinstance(sample, Applied):
@@ -118,8 +118,8 @@ class AbstractExcitation(eqx.Module):
     """The excitation of an experiment.
 
     Attributes:
-        declared: what a study says of it; its settings are fields of the same names, whole numbers static ones: they decide how
-            much is computed.
+        declared: its declaration; its settings are fields of the same names. Whole numbers are static, because they determine
+            the size of the computation.
     """
 
     declared: ClassVar[Declared]
@@ -164,7 +164,7 @@ class AbstractRecord(AbstractExcitation):
 
     @property
     def duration(self) -> Scalar:
-        """When the record ends [s]."""
+        """The end of the record [s]."""
         return self.time[-1]
 
     def forcing(self, step: Scalar, steps: int) -> AbstractForcing:

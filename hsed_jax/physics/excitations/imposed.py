@@ -2,9 +2,9 @@ r"""A planned component test: the elongation of the specimen is imposed in cycle
 
 $$\Delta u(t) = a_j\,\sin\frac{v\,t'}{a_j},\qquad \Delta\dot u(t) = v\,\cos\frac{v\,t'}{a_j},\qquad T_j = \frac{2\pi a_j}{v}$$
 
-with $t'$ the time since the first cycle of amplitude $a_j$: the peak rate $v$ is the same at all amplitudes, so elongation and
-rate are continuous where one amplitude follows another.  How long it lasts depends on the amplitudes; a quarter of a cycle has
-the same number of steps at each of them, so that every reversal is the end of a step.
+with $t'$ the time since the first cycle of amplitude $a_j$: the peak rate $v$ is the same at all amplitudes, so elongation
+and rate are continuous where one amplitude follows another.  The duration depends on the amplitudes. A quarter of a cycle has
+the same number of steps at every amplitude, so that every reversal is the end of a step.
 
 The amplitudes are a study's own, or those of a published protocol (`hsed_jax.physics.protocols`).
 """
@@ -36,8 +36,8 @@ class CyclicElongation(AbstractImposedElongation):
         rate: peak rate v [m/s].
         cycles: full cycles at each amplitude, by default 2; of a protocol None.
         protocol: a published one instead of amplitudes.
-        reference: what the amplitudes of the protocol are relative to [m].
-        steps: how many steps of the protocol, by default those of its table.
+        reference: reference of the amplitudes of the protocol [m].
+        steps: number of steps of the protocol, by default those of its table.
     """
 
     declared: ClassVar[Declared] = CYCLIC_ELONGATION
@@ -51,7 +51,7 @@ class CyclicElongation(AbstractImposedElongation):
 
     @property
     def branches(self) -> int:
-        """Quarters of a cycle, of which each has the same number of steps."""
+        """Number of quarters of a cycle, each with the same number of steps."""
         return int(self._ends[-1])
 
     @property
@@ -78,12 +78,12 @@ class CyclicElongation(AbstractImposedElongation):
 
     @property
     def duration(self) -> Scalar:
-        """Until the last cycle is closed [s]."""
+        """Duration until the end of the last cycle [s]."""
         return self._starts[-1]
 
     @property
     def _starts(self) -> Float[Array, " levels_and_end"]:
-        """When each amplitude begins, and the end [s]."""
+        """The start of each amplitude, and the end [s]."""
         quarters = np.diff(self._ends, prepend=0)
         return jnp.concatenate([jnp.zeros(1), jnp.cumsum(0.5 * jnp.pi / self.rate * self._levels * quarters)])
 

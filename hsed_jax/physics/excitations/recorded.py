@@ -1,4 +1,4 @@
-"""A ground motion as it was recorded."""
+"""A recorded ground motion."""
 
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false

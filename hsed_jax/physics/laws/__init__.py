@@ -1,6 +1,6 @@
 """Spring laws, one file each; a study chooses one by its name (`model.spring`).
 
-`base.py` says what a law has.  The registry stands in `hsed_jax.physics.declared`, which needs no JAX for the names.
+`base.py` has the interface of laws. The registry is in `hsed_jax.physics.declared`, which needs no JAX for the names.
 """
 
 from hsed_jax.physics.declared import LAWS as LAWS

@@ -26,16 +26,16 @@ from hsed_jax.physics.parameters import parameter
 Scalar = Float[Array, ""] | float
 Memory = dict[str, Scalar]
 Slots = Callable[[str], Scalar]
-"""What effects write to a slot, by its name; the neutral Python number where none does."""
+"""The contributions of effects to a slot, by its name; the neutral Python number without a contribution."""
 
 
 class Turn(NamedTuple):
-    r"""A step of the integration in which the elongation may turn.
+    r"""A step of the integration with a possible reversal of the elongation.
 
     Attributes:
         happens: whether it turns.
         length: of the step [s].
-        share: θ of the step that has passed at the turn, 1 where there is none.
+        share: θ of the step before the turn, 1 without a turn.
         start: elongation at the start of the step [m].
         elongation: at the turn, or at the end of the step [m].
         before, after: rates of the elongation at the start and at the end of the step [m/s].
@@ -57,13 +57,13 @@ class AbstractSpringLaw(eqx.Module):
     Derivatives pass in forward mode, so both sides of a `jnp.where` must be finite.
 
     Attributes:
-        name: as it stands in studies.
+        name: as in studies.
         title: in a sentence.
         reference: where it comes from.
-        slots: the slots that its element serves, besides `force` and `slack`, which every specimen has; an effect that
-            writes to another one cannot be had with this law.
-        steepest: parameters that make the virgin law stiff and steep, with the quantile of a prior at which they do so most; the
-            steps of the integration are chosen for these.
+        slots: the slots of its element, besides `force` and `slack`, which every specimen has; an effect that writes to
+            another slot is impossible with this law.
+        steepest: parameters that determine the largest stiffness and steepness of the virgin law, with the critical quantile
+            of their prior; the steps of the integration are chosen for these.
     """
 
     name: ClassVar[str]
@@ -75,16 +75,16 @@ class AbstractSpringLaw(eqx.Module):
     @property
     @abstractmethod
     def stiffness(self) -> Scalar:
-        """Of the virgin element [N/m]."""
+        """Stiffness of the virgin element [N/m]."""
 
     @property
     @abstractmethod
     def strength(self) -> Scalar:
-        """Force at which the virgin element yields, or its bound [N]; infinite where it has none."""
+        """Yield force of the virgin element, or its bound [N]; infinite without one."""
 
     @property
     def yardstick(self) -> Scalar:
-        """Force by which effects measure that of the element [N]: the strength, and what stands for it where there is none."""
+        """Reference of effects for the force of the element [N]: the strength, or a substitute if the law has none."""
         return self.strength
 
     @property
@@ -94,7 +94,7 @@ class AbstractSpringLaw(eqx.Module):
 
     @property
     def steepness(self) -> Scalar:
-        """How fast, along the elongation, the force of the virgin element comes to its limit [1/m]."""
+        """Rate, over the elongation, at which the force of the virgin element approaches its limit [1/m]."""
         return 1 / self.yield_elongation
 
     @abstractmethod
@@ -106,12 +106,12 @@ class AbstractSpringLaw(eqx.Module):
         """Force of the element [N] at its elongation [m]."""
 
     def flow(self, elongation: Scalar, rate: Scalar, memory: Memory, slots: Slots) -> Memory:
-        """Time derivatives of those of its states that are integrated."""
+        """Time derivatives of its integrated states."""
         del elongation, rate, memory, slots
         return {}
 
     def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
-        """Those of its states that a step commits, after one that came to this elongation [m], or turned there."""
+        """The committed states after a step that ends, or turns, at this elongation [m]."""
         del elongation, memory, slots
         return {}
 
@@ -123,12 +123,11 @@ class AbstractSpringLaw(eqx.Module):
         after: Memory,
         rates: Callable[[Scalar, Scalar, Memory], Memory],
     ) -> tuple[Memory, Memory]:
-        """States at the turn, and at the end of the step, corrected for what an integrator misses at a turn.
-
-        A law of paths misses nothing: its force at the turn follows from what is committed.
+        """States at the turn, and at the end of the step, corrected for the error of the integrator at a turn. A law of paths
+        needs no correction: its force at the turn follows from the committed states.
 
         Arguments:
-            turn: the step; where nothing turns, both are the states at the end.
+            turn: the step; without a turn, both are the states at the end.
             before, after: states at the start and at the end of the step, as integrated.
             flow: rates at the start.
             rates: from elongation [m], rate [m/s] and states to the rates, effects included.
@@ -138,7 +137,7 @@ class AbstractSpringLaw(eqx.Module):
 
 
 class AbstractYieldingLaw(AbstractSpringLaw):
-    """A law of paths with a stiffness and a force at which it yields."""
+    """A law of paths with a stiffness and a yield force."""
 
     steepest: ClassVar[Mapping[str, float]] = {"k": 0.999}
 
@@ -147,7 +146,7 @@ class AbstractYieldingLaw(AbstractSpringLaw):
 
     @property
     def stiffness(self) -> Scalar:
-        """Before it yields [N/m]."""
+        """Stiffness before yielding [N/m]."""
         return self.k
 
     @property

@@ -45,7 +45,7 @@ class Bilinear(AbstractYieldingLaw):
         return {"hysteretic": self.b * self.k * elongation + force, "plastic_elongation": plastic}
 
     def _mapped(self, elongation: Scalar, memory: Memory, slots: Slots) -> tuple[Scalar, Scalar]:
-        """Force of the plastic spring [N], as if it were elastic and as it is."""
+        """Force of the plastic spring [N], elastic and actual."""
         trial = (1 - self.b) * self.k * (elongation - memory["plastic_elongation"])
         bound = (1 - self.b) * self.F_y / slots("nu")
         return trial, jnp.clip(trial, -bound, bound)

@@ -53,9 +53,8 @@ class BoucWen(AbstractSpringLaw):
 
     @property
     def yardstick(self) -> Scalar:
-        """The strength, or where the law hardens the force at which its stiffness on loading has doubled [N].
-
-        Where it is elastic on loading, a large number stands for neither, so that derivatives are numbers.
+        """The strength, or for a hardening law the force at which its stiffness on loading has doubled [N]. If it is elastic
+        on loading, the value is a large number, so that derivatives are finite.
         """
         # β scales as a force to the power of −n.
         force = self.A / jnp.maximum(jnp.abs(self.beta + self.gamma), 1e-12 * self.beta + 1e-300)
@@ -88,7 +87,7 @@ class BoucWen(AbstractSpringLaw):
         if not is_zero(gamma):
             softening = softening + gamma * rate * _power(magnitude, self.n, 0)
         if not is_zero(sharper := slots("n")):
-            # (|z|/z_u)^δ leaves the strength z_u, or what stands for it, where it is: sharpness alone changes.
+            # (|z|/z_u)^δ does not change the strength z_u or its substitute: only the sharpness changes.
             softening = softening * _power(magnitude / self.yardstick, sharper, 0)
         # h/η first, so that rates with the same η share one division.
         flow = slots("h") / slots("eta") * (slots("a") * self.A * rate - slots("nu") * softening)

@@ -35,7 +35,7 @@ class Elastic(AbstractSpringLaw):
 
     @property
     def steepness(self) -> Scalar:
-        """Nothing limits the force."""
+        """Infinite: the force has no limit."""
         return 0.0
 
     def start(self) -> Memory:

@@ -1,4 +1,4 @@
-"""The law of Giuffrè, Menegotto and Pinto with isotropic hardening, as OpenSees' Steel02 has it."""
+"""The law of Giuffrè, Menegotto and Pinto with isotropic hardening, as in Steel02 of OpenSees."""
 
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false
@@ -78,13 +78,13 @@ class MenegottoPinto(AbstractYieldingLaw):
     a4: Scalar = parameter("a_4", "1", "excursion that sets its growth, over yield elongation", neutral=1.0, lower=0.01)
 
     def start(self) -> Memory:
-        """At rest, with no way yet; the furthest points of a virgin element are those of yielding."""
+        """At rest, without a path; the furthest points of a virgin element are those of yielding."""
         u_y = jnp.asarray(self.yield_elongation)
         rest = still("hysteretic", "elongation", "u_r", "f_r", "side", "aim")
         return {**rest, "highest": u_y, "lowest": -u_y}
 
     def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
-        """On the curve of the way from what is committed [N]."""
+        """Force on the curve from the committed state [N]."""
         return self._on(self._branch(elongation, memory), elongation, slots)
 
     def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
@@ -95,7 +95,7 @@ class MenegottoPinto(AbstractYieldingLaw):
         return {"hysteretic": self._on(branch, elongation, slots), "elongation": elongation, **kept}
 
     def _branch(self, elongation: Scalar, memory: Memory) -> _Branch:
-        """The curve: that of the last step, or a new one where the way changes."""
+        """The curve: that of the last step, or a new one if the direction changes."""
         u, way = memory["elongation"], jnp.sign(memory["side"])
         # Without motion the direction stays; that of a virgin element is positive.
         goes_up = jnp.where(elongation == u, way >= 0, elongation > u)

@@ -19,8 +19,8 @@ In both, the factors of g_b and g_a add up to h(v₀+v₁)/2, so the difference 
 $$\Delta z - \Delta z_S = h\,(g_b-g_a)\Big[\tfrac12\theta v_0-\tfrac16\big(v_0+2(v_0+v_1)\,[\theta>\tfrac12]\big)\Big]
   = h\,(g_+-g_-)\Big[\tfrac12\theta|v_0|-\tfrac16\big(|v_0|+2(|v_0|-|v_1|)\,[\theta>\tfrac12]\big)\Big],$$
 
-whichever way the elongation turns.  It is added to z.  The slopes are those at the turn, where z follows the branch before it,
-$z_{turn} = z_0 + \frac{dz}{d\Delta u}\big|_0\,(\Delta u_{turn}-\Delta u_0)$, which is also the force at the peak.
+for both directions of the reversal.  It is added to z.  The slopes are those at the turn, where z follows the branch before
+it, $z_{turn} = z_0 + \frac{dz}{d\Delta u}\big|_0\,(\Delta u_{turn}-\Delta u_0)$, which is also the force at the peak.
 """
 
 from collections.abc import Callable

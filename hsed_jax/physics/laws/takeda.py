@@ -53,11 +53,11 @@ class Takeda(AbstractYieldingLaw):
         return {**rest, "highest": u_y, "lowest": -u_y}
 
     def force(self, elongation: Scalar, memory: Memory, slots: Slots) -> Scalar:
-        """On the way from what is committed [N]."""
+        """Force on the path from the committed state [N]."""
         return self._way(elongation, memory, slots)[0]
 
     def settle(self, elongation: Scalar, memory: Memory, slots: Slots) -> Memory:
-        """The point, the furthest ones, and where the force passes zero on this way."""
+        """The point, the furthest points, and the elongation at which the force passes zero on this path."""
         force, zero = self._way(elongation, memory, slots)
         goes_up = elongation >= memory["elongation"]
         return {
@@ -70,7 +70,7 @@ class Takeda(AbstractYieldingLaw):
         }
 
     def _way(self, elongation: Scalar, memory: Memory, slots: Slots) -> tuple[Scalar, Scalar]:
-        """Force [N], and the elongation at which it passes zero on this way [m]."""
+        """Force [N], and the elongation at which it passes zero on this path [m]."""
         goes_up = elongation >= memory["elongation"]
         sign = jnp.where(goes_up, 1.0, -1.0)
         # The negative direction is the mirror image of the positive one.

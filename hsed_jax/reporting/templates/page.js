@@ -1,4 +1,4 @@
-// The page's own part: contents, theme, and the charts with the experiment that the reader chooses.
+// The script of the page: contents, theme, and the charts with the chosen experiment.
 "use strict";
 (() => {
   const content = JSON.parse(document.getElementById("content").textContent);
@@ -13,17 +13,17 @@
     nav.append(link);
   }
 
-  // Light or dark: as the system has it, until the reader says otherwise.
+  // Light or dark: the setting of the system, until the reader changes it.
   const system = window.matchMedia("(prefers-color-scheme: dark)");
   const paint = (dark) => { root.dataset.theme = dark ? "dark" : "light"; };
   paint(system.matches);
   system.addEventListener("change", (event) => paint(event.matches));
   document.getElementById("theme").addEventListener("click", () => paint(root.dataset.theme !== "dark"));
 
-  // Paper has no closed drawers.
+  // Open all folded parts for printing.
   window.addEventListener("beforeprint", () => document.querySelectorAll("main details").forEach((d) => { if (!d.closest(".chart")) d.open = true; }));
 
-  // Tables travel as columns, charts want rows.
+  // The tables are stored as columns; charts need rows.
   const rows = (table) => {
     const names = Object.keys(table);
     return names.length ? table[names[0]].map((_, i) => Object.fromEntries(names.map((name) => [name, table[name][i]]))) : [];
@@ -38,7 +38,7 @@
     return found;
   };
 
-  // The worst of the model as it was is what a reader wants to see first.
+  // The first shown experiment is the worst one of the first model.
   const compared = (tables.experiments || []).filter((row) => row.model === "before");
   const first = compared.length ? compared.reduce((a, b) => (b.error > a.error ? b : a)).experiment : "";
 
@@ -52,7 +52,7 @@
     views[name] = view;
   };
 
-  // The experiment that the reader chooses, in every chart that knows one.
+  // The chosen experiment, in every chart with an experiment.
   const select = document.getElementById("experiment");
   const choose = (id) => {
     if (!select || ![...select.options].some((option) => option.value === id)) return;
