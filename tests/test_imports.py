@@ -264,7 +264,11 @@ def test_run_is_a_function_also_after_somebody_imported_it_as_a_module():
         code += f"try:\n    {statement}\nexcept ImportError as refused:\n    print(refused)\nprint(type(hsed_jax.run).__name__)\n"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=PACKAGE.parent, check=True)
     first, kind, second, still = done.stdout.splitlines()
-    assert first == second and first.startswith("hsed_jax.run is a function, not a module") and "python -m hsed_jax.run" in first
+    assert (
+        first == second
+        and first.startswith("hsed_jax.run is a function, not a module")
+        and "python -m hsed_jax.run" in first
+    )
     assert kind == still == "function"
 
 
