@@ -71,8 +71,7 @@ standard error where the row says so.""",
     ),
     "design": (
         "Kriging and expected improvement",
-        """Eqs. 7 to 14 are compared with dense linear algebra in NumPy, with SciPy's quadrature and optimiser, and with explicit
-refits.""",
+        """Eqs. 7 to 14 are compared with dense linear algebra in NumPy, and with SciPy's quadrature and optimiser.""",
     ),
     "paper": (
         "The figures of the paper",

@@ -63,7 +63,7 @@ def pytest_configure(config) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def optimised(request):
-    """A file marked `optimised` compares many digits, and is compiled as users' programs are."""
+    """A file marked `optimised` compares many digits or simulates for long, and is compiled as users' programs are."""
     if request.node.get_closest_marker("optimised") is None or os.environ.get(QUICK) != "1":
         yield
         return

@@ -35,6 +35,8 @@ import pkgutil, importlib, hsed_jax
 for module in pkgutil.walk_packages(hsed_jax.__path__, "hsed_jax."):
     if module.name not in ("hsed_jax.laboratories.opensees_model", "hsed_jax.run"):  # a script and a command
         importlib.import_module(module.name)
+# Modules have the names of functions, and the package has the functions.
+assert type(hsed_jax.run).__name__ == "function"
 from hsed_jax import *
 """
 BUILD = """

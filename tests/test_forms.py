@@ -792,9 +792,10 @@ def test_one_program_with_held_numbers_as_inputs_serves_every_form(name, label):
     traced, traced_slopes = program(name)(every, point(at))
     # As many numbers for every form, so that each operation is compiled for one shape; nothing depends on the last of them.
     numbers = jnp.asarray(np.pad(list(values.values()), (0, MOST_PARAMETERS - len(values))))
-    slopes = jax.jacfwd(lambda numbers: folded(dict(zip(values, numbers, strict=False))))(numbers)
+    both = jax.jacfwd(lambda numbers: (folded(dict(zip(values, numbers, strict=False))),) * 2, has_aux=True)
+    slopes, plain = both(numbers)
     slopes = jax.tree.map(lambda along: {key: along[..., i] for i, key in enumerate(values)}, slopes)
-    for found, expected in ((traced, folded(values)), (traced_slopes, slopes)):
+    for found, expected in ((traced, plain), (traced_slopes, slopes)):
         for of_found, of_expected in zip(found, expected, strict=True):
             for slot, value in of_found.items():
                 # What a form leaves alone, the one expression leaves alone, too.

@@ -124,28 +124,6 @@ def test_tiny_nugget_interpolates_and_a_large_one_does_not(trend):
     assert np.abs(conditioned(x, y, nugget=1e-1, trend=trend).predict(jnp.asarray(x))[0] - y).max() > 0.05 * y.std()
 
 
-@pytest.mark.verification("design")
-@pytest.mark.parametrize("trend", TRENDS)
-def test_leave_one_out_equals_refits_without_the_point(trend, observed):
-    x, y = training_set(12)
-    model = conditioned(x, y, planned=15, filler=np.nan, trend=trend)
-    mean, variance = map(np.asarray, model.leave_one_out())
-    sigma2 = float(model.process_variance)
-    for i in range(12):
-        rest = np.arange(12) != i
-        _, _, m, v = dense_kriging(x[rest], y[rest], x[i : i + 1], LENGTHS, NUGGET, "matern52", trend, sigma2)
-        observed("Kriging: leave-one-out mean", "explicit refits", relative(mean[i], m[0]), 1e-7)
-        error = relative(variance[i], v[0] + sigma2 * NUGGET)
-        observed("Kriging: leave-one-out variance", "explicit refits", error, 1e-7)
-    assert np.all(mean[12:] == 0) and np.all(variance[12:] == 0)
-
-
-def test_leave_one_out_says_where_the_rest_does_not_determine_the_trend():
-    x = np.array([[0.1, 0.2], [0.4, 0.2], [0.7, 0.2], [0.9, 0.2], [0.5, 0.8]])  # only the last one leaves the line
-    mean, variance = conditioned(x, np.arange(5.0) ** 2, trend="linear").leave_one_out()
-    assert np.all(np.isfinite(mean)) and np.all(np.isfinite(variance[:4])) and np.isinf(variance[4])
-
-
 def log_restricted(x, y, contrasts, lengths, nugget, kernel):
     """Log density of the contrasts K'y, which no trend reaches, σ² integrated with 1/σ²; but for a constant."""
     matrix = dense_correlation(x, x, lengths, kernel) + nugget * np.eye(len(y))
@@ -224,8 +202,6 @@ def test_padded_rows_have_no_influence(filler):
     plain, padded = conditioned(x, y, trend="linear"), conditioned(x, y, planned=40, filler=filler, trend="linear")
     for a, b in zip(plain.predict(new), padded.predict(new), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-10)
-    for a, b in zip(plain.leave_one_out(), padded.leave_one_out(), strict=True):
-        np.testing.assert_allclose(a, b[:15], rtol=1e-10)
     np.testing.assert_allclose(plain.log_posterior, padded.log_posterior, rtol=1e-12)
 
 

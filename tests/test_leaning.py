@@ -21,6 +21,9 @@ from hsed_jax.reporting.digest import verdict, warnings
 from hsed_jax.runs.reading import read_run
 from hsed_jax.study.build import Built
 
+# Most of the time goes into simulations of the component test.
+pytestmark = pytest.mark.optimised
+
 POSITIVE = (0.0, math.inf)
 
 
@@ -88,8 +91,8 @@ BOUNDED = {"A": {"uniform": [2e7, 9e7]}, "beta": {"uniform": [50.0, 200.0]}, "ga
 
 def nearly_linear() -> Campaign:
     """A component test of a spring that hardly yields: a tenth of the least β that the study's prior allows."""
-    time = np.linspace(0, 20, 401)
-    elongation = 0.001 * time * np.sin(np.pi * time)
+    time = np.linspace(0, 10, 101)
+    elongation = 0.002 * time * np.sin(np.pi * time)
     force = loop(time, elongation, A=5e7, beta=5.0) + 2e3 * np.random.default_rng(0).standard_normal(time.size)
     return Campaign.from_frames(
         records={"E01": {"time": time, "elongation": elongation, "force": force}},
@@ -109,9 +112,12 @@ def campaign():
     return nearly_linear()
 
 
-def test_a_calibration_says_first_which_estimates_lean(campaign):
-    study = Study.model_validate(content())
-    calibration = hx.calibrate(study, campaign)
+@pytest.fixture(scope="module")
+def calibration(campaign):
+    return hx.calibrate(Study.model_validate(content()), campaign)
+
+
+def test_a_calibration_says_first_which_estimates_lean(campaign, calibration):
     found = {one.parameter: one.side for one in calibration.fit.leaning}
     assert found["beta"] == "lower"
     first = repr(calibration).splitlines()[0]
@@ -168,15 +174,14 @@ def test_terminal_and_report_begin_with_it(campaign, tmp_path, capsys):
 # --- what is physically possible -----------------------------------------------------------------------------------------
 
 
-def test_no_effect_is_named_to_get_round_a_bound(campaign):
+def test_no_effect_is_named_to_get_round_a_bound(campaign, calibration):
     built = Built(Study.model_validate(content()), campaign)
-    fit = hx.calibrate(built.study, campaign)
-    leaning = [one.parameter for one in fit.fit.leaning]
+    leaning = [one.parameter for one in calibration.fit.leaning]
     assert leaning == ["beta"]
     effects = ["hardening", "support_flexibility"]
-    within = diagnose(problem_of(built, campaign, effects, known=fit.map))
+    within = diagnose(problem_of(built, campaign, effects, known=calibration.map))
     assert within.effects  # what gets round it
-    open_ = diagnose(problem_of(built, campaign, effects, known=fit.map, opened=leaning))
+    open_ = diagnose(problem_of(built, campaign, effects, known=calibration.map, opened=leaning))
     assert (open_.verdict, open_.effects) == ("unexplained", [])
     assert open_.opened["beta"] == pytest.approx(5.0, rel=0.1)
     assert open_.sentence.startswith("the priors exclude this specimen") and "widen" in open_.sentence

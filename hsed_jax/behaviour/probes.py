@@ -144,7 +144,7 @@ def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, 
         "pinching_ratio": np.where(is_loop, height[:, 18] / np.where(is_loop, highest, 1.0), np.nan),
         "recentring": 1 - 0.5 * (np.abs(zeros[0]) + np.abs(zeros[1])) / a,
         "play": _play(up, _HEIGHT * size, close),
-        "rate_force": 0.25 * sum(jumps),
+        "rate_force": 0.25 * (jumps[0] + jumps[1]),
         "relaxation": (force[:, ends[3]] - force[:, ends[4]]) / size,
     }
 

@@ -11,7 +11,7 @@ data.  A padded row is an independent, unit-variance unknown with weight zero: t
 and one compiled program serves a campaign from its first step to its last.
 
 Sources: Sacks, Welch, Mitchell & Wynn (1989), Statistical Science 4; for the restricted likelihood and Student's t
-Handcock & Stein (1993), Technometrics 35; for leave-one-out Dubrule (1983), Mathematical Geology 15.
+Handcock & Stein (1993), Technometrics 35.
 """
 
 from itertools import combinations_with_replacement
@@ -142,26 +142,6 @@ class Kriging(eqx.Module):
         There R⁻¹r is a unit vector minus the share of the nugget, which gives Y − (nugget)R⁻¹(Y − Fβ).
         """
         return jnp.where(self.mask, self.responses - self.nugget * self.weights, -jnp.inf)
-
-    @eqx.filter_jit
-    def leave_one_out(self) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
-        """Prediction of each response from all the others, hyper-parameters and σ² kept, the trend re-estimated.
-
-        With Q = R⁻¹ − R⁻¹F(FᵀR⁻¹F)⁻¹FᵀR⁻¹ the mean is y_i − (QY)_i/Q_ii and the variance σ²/Q_ii (Dubrule 1983).  The
-        variance is that of an *observation*, nugget included, so (y − mean)/√variance is a standardised residual; take
-        off σ²·nugget for the variance of Eq. 11.
-
-        **Returns:** mean (N,) and variance (N,); zero in padded rows, infinite variance where the other points do not
-        determine the trend.
-        """
-        precision = jnp.sum(jnp.square(self.whitening), axis=0) - jnp.sum(jnp.square(self.trend_projection), axis=0)
-        precision = jnp.where(self.mask, precision, 1.0)
-        # Leverage one: the trend takes the whole point, and the rest of Q_ii is rounding.
-        determined = precision > 1e-12 * jnp.max(jnp.abs(precision))
-        safe = jnp.where(determined, precision, 1.0)
-        mean = self.responses - jnp.where(determined, self.weights / safe, 0.0)
-        variance = jnp.where(determined, self.process_variance / safe, jnp.inf)
-        return jnp.where(self.mask, mean, 0.0), jnp.where(self.mask, variance, 0.0)
 
 
 @program

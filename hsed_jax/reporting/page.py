@@ -29,6 +29,16 @@ def number(value: float | None) -> str:
 
 def render(template: str, **content: Any) -> str:
     """Fill a template of `templates/`; `data` is for its script."""
+    here = Path(__file__).parent / "templates"
+    files = {name: (here / f"page.{name}").read_text(encoding="utf-8") for name in ("css", "js")}
+    library = _library()
+    about = {"generator": GENERATOR, "files": files, "library": library, "policy": _policy(library, files["js"])}
+    return _environment().get_template(template).render(**about, **content)
+
+
+@cache
+def _environment() -> Environment:
+    """What compiles the templates, once in a process."""
     environment = Environment(
         loader=PackageLoader("hsed_jax.reporting", "templates"),
         autoescape=True,
@@ -37,11 +47,7 @@ def render(template: str, **content: Any) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"number": number, "odds": odds, "embedded": _embedded, "unit": unit_words}
-    here = Path(__file__).parent / "templates"
-    files = {name: (here / f"page.{name}").read_text(encoding="utf-8") for name in ("css", "js")}
-    library = _library()
-    about = {"generator": GENERATOR, "files": files, "library": library, "policy": _policy(library, files["js"])}
-    return environment.get_template(template).render(**about, **content)
+    return environment
 
 
 def _policy(*scripts: str) -> str:
