@@ -126,7 +126,12 @@ def test_a_bouc_wen_law_has_our_forces_in_sap2000(values, effects):
         ("bouc_wen", WEN | {"n": 0.9}, {}, "n of at least 1"),
         ("takeda", BILINEAR, {}, "the law takeda is equal to none"),
         ("bilinear", BILINEAR, {"hardening": ("tension only", {"delta": 0.4})}, "hardening has no equal counterpart"),
-        ("bilinear", BILINEAR, {"viscous_damping": ("linear", {"delta": 0.4})}, "viscous_damping has no equal counterpart"),
+        (
+            "bilinear",
+            BILINEAR,
+            {"viscous_damping": ("linear", {"delta": 0.4})},
+            "viscous_damping has no equal counterpart",
+        ),
     ],
 )
 def test_what_is_not_equal_is_refused(law, values, effects, said):

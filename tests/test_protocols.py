@@ -166,7 +166,10 @@ BAD = {
     "no reference": ({"reference": None}, r"imposed\.reference: this key is required with a protocol.*0\.6 of"),
     "a reference of zero": ({"reference": 0.0}, r"imposed\.reference: a reference is positive, but it is 0"),
     "a negative reference": ({"reference": -0.04}, r"a reference is positive, but it is -0\.04"),
-    "a reference that is no input": ({"reference": "b"}, r"imposed\.reference: it refers to 'b', which is not an input"),
+    "a reference that is no input": (
+        {"reference": "b"},
+        r"imposed\.reference: it refers to 'b', which is not an input",
+    ),
     "amplitudes beside a protocol": ({"amplitudes": [0.01]}, r"imposed\.protocol: leave out amplitudes, or protocol"),
     "cycles beside a protocol": ({"cycles": 2}, r"imposed\.cycles: leave it out"),
     "neither": ({"protocol": None, "reference": None}, r"imposed\.amplitudes: give amplitudes, or a protocol \(curee"),

@@ -112,7 +112,11 @@ def test_after_an_improvement_it_is_said_where_the_improved_model_fails(tmp_path
     places = [{"sentence": "90 % of the squared error is after 3 s"}]
     page = page_of(tmp_path, lambda found: found["improvement"]["comparison"].update(where=places))
     own = page[page.index("<h2>Where it fails") :]
-    assert own.index("Misfit of the first model") < own.index("The improved model:") < own.index("90 % of the squared error")
+    assert (
+        own.index("Misfit of the first model")
+        < own.index("The improved model:")
+        < own.index("90 % of the squared error")
+    )
     shutil.rmtree(tmp_path / "run")
     page = page_of(tmp_path, lambda found: found["improvement"]["comparison"].update(where=[]))
     assert "The misfit of the improved model is not concentrated in any part of the data." in page
