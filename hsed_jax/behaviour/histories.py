@@ -60,6 +60,19 @@ class Range(NamedTuple):
         return float(np.abs(np.diff(self.turns)).sum())
 
 
+class Imposition(NamedTuple):
+    """Imposed elongations.
+
+    Attributes:
+        elongation, rate: on the half-step grid [m], [m/s], (B, 2n+1).
+        lengths: of the steps [s], zero before a history begins, (B, n).
+    """
+
+    elongation: Float[np.ndarray, "B half"]
+    rate: Float[np.ndarray, "B half"]
+    lengths: Float[np.ndarray, "B n"]
+
+
 class Histories(NamedTuple):
     """Imposed elongations that end with the same loop.
 
@@ -111,7 +124,9 @@ def over_the_range(visited: Range, step: float, count: int = 32) -> Histories:
     speeds = visited.rate * (fast * (slow / fast) ** points[:, 3] if visited.has_time else np.full(count, fast))
     runs = [
         [
-            *_through(np.asarray([0.0, *(amplitude * (-1) ** k for k in range(number)), 0.0]), visited, step),
+            *_through(
+                np.asarray([0.0, *(amplitude * (-1) ** k for k in range(number)), 0.0]), 0.5 * visited.rate, step
+            ),
             *_rest(0.0, rest, visited),
             *_loop(visited, speed, step),
         ]
@@ -131,12 +146,23 @@ def along_the_test(visited: Range, step: float) -> Histories:
     runs = []
     for place in PLACES:
         done = turns[passed <= place * passed[-1] * (1 + 1e-12)]
-        runs.append([*_through(np.append(done, 0.0), visited, step), *_loop(visited, visited.rate, step)])
+        runs.append([*_through(np.append(done, 0.0), 0.5 * visited.rate, step), *_loop(visited, visited.rate, step)])
     return _joined(runs, np.full(len(PLACES), visited.rate), np.zeros(len(PLACES)))
 
 
-def _through(turns: np.ndarray, visited: Range, step: float) -> list[_Leg]:
-    return [_leg(a, b, 0.5 * visited.rate, step) for a, b in itertools.pairwise(turns) if a != b]
+def imposed(turns: Sequence[np.ndarray], rates: Sequence[float], step: float) -> Imposition:
+    """Histories through given reversals.
+
+    Arguments:
+        turns: elongations from zero on [m], by history, (r,) each.
+        rates: of the elongation [m/s], by history.
+        step: the longest change of the elongation in a step [m].
+    """
+    return _padded([_through(own, rate, step) for own, rate in zip(turns, rates, strict=True)])[0]
+
+
+def _through(turns: np.ndarray, rate: float, step: float) -> list[_Leg]:
+    return [_leg(a, b, rate, step) for a, b in itertools.pairwise(turns) if a != b]
 
 
 def _loop(visited: Range, speed: float, step: float) -> list[_Leg]:
@@ -164,6 +190,13 @@ def _leg(start: float, end: float, speed: float, step: float) -> _Leg:
 
 
 def _joined(runs: Sequence[list[_Leg]], speeds: np.ndarray, rests: np.ndarray) -> Histories:
+    courses, size = _padded(runs)
+    ends = size - np.cumsum([leg.steps for leg in reversed(runs[0][-4:])])
+    return Histories(*courses, (*reversed(ends.tolist()), size), speeds, rests)
+
+
+def _padded(runs: Sequence[list[_Leg]]) -> tuple[Imposition, int]:
+    """Legs of each history as one course, all with the same number of steps."""
     steps = max(sum(leg.steps for leg in legs) for legs in runs)
     # A few sizes, so that a compiled program serves many specimens.
     size = 1 << max(steps - 1, 2047).bit_length()
@@ -172,9 +205,7 @@ def _joined(runs: Sequence[list[_Leg]], speeds: np.ndarray, rests: np.ndarray) -
         u, v, h = (np.concatenate(parts) for parts in zip(*map(_course, legs), strict=True))
         before = size - len(h)
         found.append((np.pad(u, (2 * before + 1, 0)), np.pad(v, (2 * before + 1, 0)), np.pad(h, (before, 0))))
-    elongation, rate, lengths = (np.stack(rows) for rows in zip(*found, strict=True))
-    ends = size - np.cumsum([leg.steps for leg in reversed(runs[0][-4:])])
-    return Histories(elongation, rate, lengths, (*reversed(ends.tolist()), size), speeds, rests)
+    return Imposition(*(np.stack(rows) for rows in zip(*found, strict=True))), size
 
 
 def _course(leg: _Leg) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

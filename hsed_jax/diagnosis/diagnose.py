@@ -15,6 +15,7 @@ from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis, Explained
 from hsed_jax.diagnosis.fit_state import FitState, Task
 from hsed_jax.diagnosis.fits import Model, Set
+from hsed_jax.diagnosis.loadings import next_loading
 from hsed_jax.diagnosis.prior_widths import prior_widths
 from hsed_jax.diagnosis.probing import Probe
 from hsed_jax.diagnosis.problem import Problem
@@ -95,7 +96,7 @@ def diagnose(
     # A clear winner still has a runner-up to be told from.
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
-    chosen, worth, average = None, None, None
+    chosen, worth, average, loading = None, None, None, None
     if not best.effects:
         verdict = plain
     elif rivals:
@@ -103,6 +104,8 @@ def diagnose(
         look_alikes = joined([*look_alikes, *(difference(best.effects, rival.effects) for rival in rivals)])
         chosen, worth = next_experiment(problem, information)
         average = averaged(problem, search, [best, *rivals])
+        if probe is not None and probe.is_component_test:
+            loading = next_loading(probe, search, [best, *rivals])
     else:
         verdict = "missing_effects"
     named = [c.effect for c in ranking if c.effect in best.effects]
@@ -116,6 +119,7 @@ def diagnose(
         look_alikes=look_alikes,
         next_experiment=chosen,
         expected_log_bayes_factor=worth,
+        next_loading=loading,
         separation=information,
         p_value=p_value,
         p_value_after=_p_value(problem, best.fit) if best.effects else p_value,
@@ -139,8 +143,9 @@ def diagnose(
 
 
 def _sampled(problem: Problem, search: Search, models: Sequence[Model]) -> dict[Set, Sampled]:
-    """Samples of the posteriors of fitted models."""
-    target = search.of_intervals
+    """Samples of the posteriors of fitted models, in which samples count for what they are worth, as their width requires."""
+    weights = search.target.weights * np.sqrt(search.worth)[problem.train.groups]
+    target = search.target._replace(weights=weights)
     fits = problem.models.fit(target, [Task(m.fit.submodel, m.fit.x, stays=True) for m in models])
     return {
         m.effects: sample_posterior(fit, problem.models, target, _DRAWS, problem.seed)

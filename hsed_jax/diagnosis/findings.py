@@ -17,6 +17,7 @@ from hsed_jax.tables import Table, Tabular, cell, odds
 if TYPE_CHECKING:
     # A report reads findings and fits nothing.
     from hsed_jax.diagnosis.averaging import Averaged
+    from hsed_jax.diagnosis.loadings import Loading
 
 # Of so many likely effects it is said why they are not named.
 _SHOWN = 3
@@ -194,6 +195,7 @@ class Diagnosis(Tabular):
         look_alikes: groups of effects whose predictions differ by less than the noise, none of them excluded by the evidence.
         next_experiment: inputs (in declared units) that best separate the rivals of an ambiguous verdict.
         expected_log_bayes_factor: what that experiment is expected to tell [nats].
+        next_loading: the loading that separates the rivals of a component test best.
         separation: the same for every candidate experiment, between the rivals or the two most probable models.
         p_value, p_value_after: probability of the residual from the noise alone, before and with the named effects.
         error, error_after: normalised errors (train, test), before and with the named effects.
@@ -232,6 +234,7 @@ class Diagnosis(Tabular):
     notes: Sequence[str] = ()
     forms: Mapping[str, str] = field(default_factory=dict[str, str])
     averaged: "Averaged | None" = None
+    next_loading: "Loading | None" = None
     specimens: Sequence[Judgement] = ()
     opened: Mapping[str, float] = field(default_factory=dict[str, float])
     explanations: Sequence[Explained] = ()
@@ -257,6 +260,7 @@ class Diagnosis(Tabular):
         optional = {
             "next_experiment": self.next_experiment,
             "expected_log_bayes_factor": self.expected_log_bayes_factor,
+            "next_loading": None if self.next_loading is None else self.next_loading.summary(),
             "p_value": self.p_value,
             "p_value_after": self.p_value_after,
             "averaged": None if self.averaged is None else self.averaged.summary(),
@@ -343,6 +347,7 @@ class Diagnosis(Tabular):
             *self._of_priors,
             *self.notes,
             *between,
+            *([] if self.next_loading is None else [self.next_loading.sentence]),
             *(f"{c.called} {self._instead(c)}" for c in self._unnamed[:_SHOWN]),
         ]
 

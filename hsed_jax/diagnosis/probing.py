@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from hsed_jax.behaviour.contributions import Contribution, contribution, dependence
 from hsed_jax.behaviour.findings import QUANTITIES, Behaviour, Behaviours, ProbedCurve, Value, told
-from hsed_jax.behaviour.histories import PLACES, Range, along_the_test, over_the_range
+from hsed_jax.behaviour.histories import PLACES, Imposition, Range, along_the_test, over_the_range
 from hsed_jax.behaviour.names import PRACTICAL, Trait, called, trait
 from hsed_jax.behaviour.probes import probed
-from hsed_jax.behaviour.specimens import alone, answers, longest_step, spring_effects
+from hsed_jax.behaviour.specimens import Answers, alone, answers, longest_step, spring_effects
 from hsed_jax.diagnosis.evidence import Sampled
 from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.problem import Problem
@@ -49,6 +49,12 @@ class Probe(NamedTuple):
     simulator: Simulator
     visited: Range
 
+    @property
+    def is_component_test(self) -> bool:
+        """Whether the data are of one specimen alone, whose elongation a laboratory imposes, without inputs to choose."""
+        is_alone = self.simulator.structure is None and len(self.simulator.elements) == 1
+        return is_alone and self.simulator.excitation is None and not self.problem.candidates
+
     def called(self, model: Model) -> Set:
         """The effects of a model by the names of what they do; those that the table leaves alone by their own."""
         traits = self.traits(model)
@@ -79,7 +85,7 @@ class Probe(NamedTuple):
         curves: dict[str, ProbedCurve] = {}
         draws = self._drawn(best, sampled)
         for element in self.simulator.elements:
-            before, after = self._along(plain, element, [self._fitted(plain)]), self._along(best, element, draws)
+            before, after = self._along(plain, element, [self.fitted(plain)]), self._along(best, element, draws)
             if before is None or after is None:
                 continue
             for name, values in after.items():
@@ -99,7 +105,7 @@ class Probe(NamedTuple):
 
     def _along(self, model: Model, element: Element, draws: Drawn) -> dict[str, Float[np.ndarray, "S places"]] | None:
         """Quantities along the test, by draw; None where too few can be simulated."""
-        histories = along_the_test(self.visited, self._step(draws[0], element))
+        histories = along_the_test(self.visited, self.step(draws[0], element))
         specimen = self._specimen(model, element)
         found = answers(specimen, draws, histories)
         kept = np.flatnonzero(found.ok.all(axis=1))
@@ -110,8 +116,8 @@ class Probe(NamedTuple):
 
     def _drivers(self, model: Model, element: Element) -> dict[str, dict[str, float]]:
         """With what each quantity of the best fit changes over the range of the data."""
-        fit = self._fitted(model)
-        histories = over_the_range(self.visited, self._step(fit, element))
+        fit = self.fitted(model)
+        histories = over_the_range(self.visited, self.step(fit, element))
         found = answers(self._specimen(model, element), [fit], histories)
         if found.ok[0].sum() < _ENOUGH:
             return {}
@@ -194,7 +200,7 @@ class Probe(NamedTuple):
 
     def _traits_in(self, model: Model, element: Element) -> dict[str, Trait]:
         """What each effect of a model does in the main in a specimen."""
-        found = self._contributions(model, element, [self._fitted(model)], self._effects(model, element))
+        found = self._contributions(model, element, [self.fitted(model)], self._effects(model, element))
         return {effect: main for effect, (own, *_) in found.items() if (main := trait(own)) is not None}
 
     def _contributions(
@@ -203,7 +209,7 @@ class Probe(NamedTuple):
         """What effects of a model do in a specimen, by draw."""
         if not own:
             return {}
-        histories = over_the_range(self.visited, self._step(draws[0], element))
+        histories = over_the_range(self.visited, self.step(draws[0], element))
         models = [{**draw, **absent} for draw in draws for absent in ({}, *map(self._absent, own))]
         answered = answers(self._specimen(model, element), models, histories)
         each = enumerate(zip(answered.force, answered.ok, strict=True))
@@ -218,6 +224,16 @@ class Probe(NamedTuple):
                     found.setdefault(effect, []).append(one)
         return found
 
+    def forces(self, model: Model, thetas: Sequence[np.ndarray], element: Element, histories: Imposition) -> Answers:
+        """The answers of a specimen to imposed histories, with the effects of a model and several θ, (P,) each."""
+        return answers(self._specimen(model, element), [self._named(model, theta) for theta in thetas], histories)
+
+    def step(self, parameters: Mapping[str, float], element: Element) -> float:
+        """The longest change of the elongation in a step with which a specimen is followed [m]."""
+        known = {**dict(self.simulator.constants), **parameters}
+        law = element.law(**element.parameters(by_owner(known)))
+        return longest_step(float(law.yield_elongation), self.visited.elongation)
+
     # Models as specimens.
 
     def _effects(self, model: Model, element: Element) -> list[str]:
@@ -227,12 +243,13 @@ class Probe(NamedTuple):
         """The specimen with the effects of a model, in their forms."""
         own = self._effects(model, element)
         free = {self.problem.names[int(k)] for k in model.fit.free}
-        fitted = self._fitted(model)
+        fitted = self.fitted(model)
         held = {name: value for name, value in fitted.items() if owner_of(name) in own and name not in free}
         lean = replace(self.simulator, effects=self.simulator.effects.only(own))
         return alone(lean, element, held)
 
-    def _fitted(self, model: Model) -> dict[str, float]:
+    def fitted(self, model: Model) -> dict[str, float]:
+        """Parameters of the law and of the effects of a model at its best fit, by name, SI."""
         return self._named(model, self.problem.models.theta(model.fit.x, model.fit.submodel))
 
     def _drawn(self, model: Model, sampled: Sampled) -> Drawn:
@@ -251,11 +268,6 @@ class Probe(NamedTuple):
         amplitude = next(iter(parameters_of(self.problem.catalogue[effect]).values()))
         assert amplitude.neutral is not None
         return {f"{effect}.{amplitude.name}": amplitude.neutral}
-
-    def _step(self, parameters: Mapping[str, float], element: Element) -> float:
-        known = {**dict(self.simulator.constants), **parameters}
-        law = element.law(**element.parameters(by_owner(known)))
-        return longest_step(float(law.yield_elongation), self.visited.elongation)
 
 
 # What is told of a specimen that stays as it is.

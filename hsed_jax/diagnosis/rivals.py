@@ -19,8 +19,8 @@ _AS_GOOD = 1 / 10
 _EXCLUDED = 0.01
 # Sd of a parameter that neither data nor bounds hold, in coordinates of order one.
 _WIDEST = 10.0
-# Expected log Bayes factor that makes an experiment worth proposing.
-_WORTHWHILE = 1.0
+WORTHWHILE = 1.0
+"""Expected log Bayes factor that makes an experiment worth proposing."""
 
 
 def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Float[np.ndarray, " c"]:
@@ -82,8 +82,22 @@ def expected_log_bayes_factor(
     return information / max(float(1 - shares @ shares) / 2, 1e-12)
 
 
-def predictive(models: NestedModels, fit: FitState, rows: np.ndarray) -> Predictive:
-    """What a fitted model predicts of the experiments in `rows`."""
+class Around(NamedTuple):
+    """Points around a fit, for derivatives in its free coordinates.
+
+    Attributes:
+        points: the fit, then one step along each coordinate, (P,) each.
+        steps: (p,).
+        factor: of the covariance of the free coordinates, (p, p).
+    """
+
+    points: list[Float[np.ndarray, " P"]]
+    steps: Float[np.ndarray, " p"]
+    factor: Float[np.ndarray, "p p"]
+
+
+def around(models: NestedModels, fit: FitState) -> Around:
+    """Points around a fit, within the spread of its posterior."""
     box = models.box
     _, covariance = gaussian(fit)
     low, high = box.low[fit.free], box.high[fit.free]
@@ -93,14 +107,27 @@ def predictive(models: NestedModels, fit: FitState, rows: np.ndarray) -> Predict
     factor = shrink[:, None] * np.linalg.cholesky(covariance + 1e-12 * np.diag(deviation**2))
     steps = 0.1 * np.minimum(shrink * deviation, 1.0)
     steps = np.where(fit.x[fit.free] + steps > high, -steps, steps)
-    points = [(fit.x, fit.submodel)]
+    points = [fit.x]
     for k, step in zip(fit.free, steps, strict=True):
         x = fit.x.copy()
         x[k] += step
-        points.append((x, fit.submodel))
-    outputs, ok = models.predict(points, rows)
-    slopes = (outputs[1:] - outputs[0]) * ok[1:, :, None] / steps[:, None, None]
-    return Predictive(outputs[0], np.einsum("pcj,pq->cjq", slopes, factor), ok[0])
+        points.append(x)
+    return Around(points, steps, factor)
+
+
+def spread_of(
+    near: Around, outputs: Float[np.ndarray, "p1 c J"], ok: Float[np.ndarray, "p1 c"]
+) -> Float[np.ndarray, "c J p"]:
+    """L of `Predictive`, from the outputs at the points; a coordinate whose simulation diverges has no derivative."""
+    slopes = (outputs[1:] - outputs[0]) * ok[1:, :, None] / near.steps[:, None, None]
+    return np.einsum("pcj,pq->cjq", slopes, near.factor)
+
+
+def predictive(models: NestedModels, fit: FitState, rows: np.ndarray) -> Predictive:
+    """What a fitted model predicts of the experiments in `rows`."""
+    near = around(models, fit)
+    outputs, ok = models.predict([(x, fit.submodel) for x in near.points], rows)
+    return Predictive(outputs[0], spread_of(near, outputs, ok), ok[0])
 
 
 def _told(apart: np.ndarray, true: np.ndarray, other: np.ndarray, ok: np.ndarray, count: int) -> np.ndarray:
@@ -135,7 +162,7 @@ def next_experiment(
     problem: Problem, information: Float[np.ndarray, " c"]
 ) -> tuple[dict[str, float] | None, float | None]:
     """The candidate that separates rivals best and what it is expected to tell [nats]; None where none would tell."""
-    if not information.size or information.max() < _WORTHWHILE:
+    if not information.size or information.max() < WORTHWHILE:
         return None, None
     best = int(np.argmax(information))
     return dict(problem.candidates[best]), float(information[best])

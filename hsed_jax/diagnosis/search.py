@@ -131,12 +131,6 @@ class Search:
             self._judge()
         self._score(is_over=True)
 
-    @property
-    def of_intervals(self) -> Target:
-        """The last target, with samples that count for what they are worth (`hsed_jax.inference.correlation`), as the width of a
-        posterior requires."""
-        return self.target._replace(weights=self.target.weights * np.sqrt(self.worth)[self.measured.groups])
-
     def adopt(self, coarse: "Search") -> None:
         """Judge what a search over some of the experiments has found: its best set, those on its way, and those that lead."""
         best = coarse.best

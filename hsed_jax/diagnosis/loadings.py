@@ -1,0 +1,158 @@
+r"""The loading of a component test that separates several explanations best.
+
+A component test has no inputs to choose, but a laboratory chooses the sequence of its amplitudes.  The candidates are the
+measured test itself, published protocols and simple sequences.  None has a larger elongation or a longer path than the measured
+test, so that none needs more stroke or causes more damage.  Each is imposed on a virgin specimen, at the rate of the test and, if
+the record has a time, at a tenth of it.
+
+Each explanation predicts the force of every candidate.  The candidate with the largest expected log Bayes factor between the
+explanations (`hsed_jax.diagnosis.rivals`) is proposed.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import cycle, islice
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from hsed_jax.behaviour.histories import Range, imposed
+from hsed_jax.diagnosis.fits import Model
+from hsed_jax.diagnosis.probing import Probe
+from hsed_jax.diagnosis.rivals import (
+    WORTHWHILE,
+    Predictive,
+    around,
+    expected_log_bayes_factor,
+    spread_of,
+)
+from hsed_jax.diagnosis.search import Search
+from hsed_jax.physics import display
+from hsed_jax.physics.pairs import Pair
+from hsed_jax.physics.protocols import PROTOCOLS
+
+# Samples of the force that count, at equal steps of the path, and reversals of a candidate at most.
+_SAMPLES, _REVERSALS = 200, 48
+# A step is so many times as long as where behaviour is read.
+_COARSER = 2.0
+# Rates over that of the test.
+_RATES = (1.0, 0.1)
+_REPEATED = "the same test again"
+# Amplitudes of the cycles over the largest elongation, from the first on; a sequence is repeated.
+_SEQUENCES = {
+    "cycles of constant amplitude": (1.0,),
+    "cycles of half the amplitude": (0.5,),
+    "cycles of growing amplitude": tuple(np.repeat(np.arange(1, 9) / 8, 2)),
+    "cycles of falling amplitude": tuple(np.repeat(np.arange(8, 0, -1) / 8, 2)),
+    "large and small cycles in turn": (1.0, 0.25),
+    "small cycles with a large one after each three": (0.25, 0.25, 0.25, 1.0),
+}
+
+
+class Loading(NamedTuple):
+    """A proposed loading.
+
+    Attributes:
+        name: in words.
+        reversals: elongations in order, from the virgin specimen on [m].
+        rate: of the elongation [m/s].
+        expected_log_bayes_factor: between the explanations [nats].
+        repeated: the same of the measured test, if it is repeated.
+        pair: that the specimen is measured in.
+    """
+
+    name: str
+    reversals: Float[np.ndarray, " r"]
+    rate: float
+    expected_log_bayes_factor: float
+    repeated: float
+    pair: Pair
+
+    def summary(self) -> dict[str, Any]:
+        """The key `next_loading` in `summary.json`."""
+        return {
+            "name": self.name,
+            "reversals": [float(f"{u:.4g}") for u in self.reversals],
+            "rate": self.rate,
+            "unit": self.pair.unit("m"),
+            "expected_log_bayes_factor": self.expected_log_bayes_factor,
+            "repeated": self.repeated,
+        }
+
+    @property
+    def sentence(self) -> str:
+        """The loading and its use."""
+        divisor, unit = display.shown_in(self.pair, "m", self.reversals)
+        first = ", ".join(f"{u / divisor:.3g}" for u in self.reversals[:6])
+        return (
+            f"the loading that separates them best on a new specimen is {self.name}: reversals at {first}, ... {unit}; its "
+            f"expected log Bayes factor is {self.expected_log_bayes_factor / max(self.repeated, WORTHWHILE):.2g} times that of "
+            "the same test again"
+        )
+
+
+def next_loading(probe: Probe, search: Search, rivals: Sequence[Model]) -> Loading | None:
+    """The loading that separates explanations best; None if none is expected to separate them, or if no force is measured.
+
+    Arguments:
+        probe: of the problem, a component test.
+        search: what was found.
+        rivals: the explanations.
+    """
+    problem, visited, element = probe.problem, probe.visited, probe.simulator.elements[0]
+    if "force" not in problem.outputs:
+        return None
+    sequences = [*_sequences(visited)]
+    step = _COARSER * probe.step(probe.fitted(rivals[0]), element)
+    histories = imposed([turns for _, turns, _ in sequences], [rate for _, _, rate in sequences], step)
+    samples = _evenly(histories.elongation[:, ::2])
+    predictions: list[Predictive] = []
+    for model in rivals:
+        near = around(problem.models, model.fit)
+        thetas = [problem.models.theta(x, model.fit.submodel) for x in near.points]
+        found = probe.forces(model, thetas, element, histories)
+        force = np.take_along_axis(found.force, samples[None], axis=2)
+        ok = found.ok.astype(float)
+        predictions.append(Predictive(force[0], spread_of(near, force, ok), ok[0]))
+    group = problem.outputs.index("force")
+    magnitude = np.sqrt(np.mean(predictions[0].mean ** 2, axis=1, keepdims=True))
+    size = magnitude if problem.train.errors[group].is_relative else 1.0
+    root = np.broadcast_to(np.sqrt(search.worth[group]) / (search.errors[group] * size), samples.shape)
+    # They are told as equally good.
+    information = expected_log_bayes_factor(predictions, root, np.full(len(rivals), 1 / len(rivals)))
+    best = int(np.argmax(information))
+    name, turns, rate = sequences[best]
+    if not information[best] > WORTHWHILE or name == _REPEATED:
+        return None
+    return Loading(name, turns[1:], rate, float(information[best]), float(information[0]), problem.pair)
+
+
+def _sequences(visited: Range) -> Iterator[tuple[str, Float[np.ndarray, " r"], float]]:
+    """Names, reversals from zero on [m] and rates [m/s], the measured test first."""
+    shapes = {name: _cycles(amplitudes, visited) for name, amplitudes in _SEQUENCES.items()}
+    for protocol in PROTOCOLS.values():
+        amplitudes = [level.amplitude for level in protocol.levels() for _ in range(level.quarters // 4)]
+        if amplitudes:
+            shapes[f"the protocol {protocol.title}"] = _cycles(np.asarray(amplitudes) / max(amplitudes), visited)
+    for rate in _RATES if visited.has_time else _RATES[:1]:
+        slowly = "" if rate == 1 else f", {1 / rate:.0f} times slower"
+        for name, turns in {_REPEATED: visited.turns[: _REVERSALS + 1], **shapes}.items():
+            yield name + slowly, turns, rate * visited.rate
+
+
+def _cycles(amplitudes: Sequence[float] | np.ndarray, visited: Range) -> Float[np.ndarray, " r"]:
+    """Reversals of cycles of both signs, repeated up to the path of the test."""
+    sides = [side * a for a in islice(cycle(amplitudes), _REVERSALS // 2) for side in (1.0, -1.0)]
+    turns = visited.elongation * np.asarray([0.0, *sides])
+    passed = np.cumsum(np.abs(np.diff(turns, prepend=0.0)))
+    return turns[passed <= visited.path * (1 + 1e-9)]
+
+
+def _evenly(elongation: Float[np.ndarray, "c n"]) -> Int[np.ndarray, "c samples"]:
+    """Samples at equal steps of the path."""
+    passed = np.cumsum(np.abs(np.diff(elongation, axis=1, prepend=elongation[:, :1])), axis=1)
+    shares = np.linspace(0, 1, _SAMPLES + 1)[1:]
+    found = np.zeros((len(passed), _SAMPLES), dtype=int)
+    for k in range(len(passed)):
+        found[k] = np.searchsorted(passed[k], shares * passed[k, -1])
+    return np.minimum(found, passed.shape[1] - 1)
