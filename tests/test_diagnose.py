@@ -55,6 +55,9 @@ from hsed_jax.runs.folder import RunFolder
 from hsed_jax.runs.progress import Progress
 from hsed_jax.study.build import Built
 
+# Most of the time goes into simulations of diagnosed specimens.
+pytestmark = pytest.mark.optimised
+
 # --- a dictionary: law + sum of amplitude × function, so that every answer is known in closed form -----------------------
 
 ROOT = Path(__file__).resolve().parents[1]
