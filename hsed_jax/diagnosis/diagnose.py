@@ -13,7 +13,7 @@ from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.evidence import Sampled, gaussian, sample_posterior
 from hsed_jax.diagnosis.findings import Candidate, Diagnosis, Explained
-from hsed_jax.diagnosis.fit_state import FitState, Task
+from hsed_jax.diagnosis.fit_state import FitState
 from hsed_jax.diagnosis.fits import Model, Set
 from hsed_jax.diagnosis.loadings import next_loading
 from hsed_jax.diagnosis.prior_widths import prior_widths
@@ -79,7 +79,9 @@ def diagnose(
         _rename(probe, search)
     report("probabilities and sizes")
     models, best, none = search.all(), search.model(search.best), search.model(())
-    sampled = _sampled(problem, search, (none, best))
+    sampled = {
+        m.effects: sample_posterior(m.fit, problem.models, search.target, _DRAWS, problem.seed) for m in (none, best)
+    }
     rivals = rivals_of(models, best)
     called = {} if probe is None else {m.effects: probe.called(m) for m in (best, *rivals) if m.effects}
     rivals = [m for m in rivals if called.get(m.effects) != called.get(best.effects, best.effects)]
@@ -140,17 +142,6 @@ def diagnose(
         behaviour=Behaviours() if probe is None else probe.behaviours(none, best, sampled[best.effects]),
         prior_widths=widths,
     )
-
-
-def _sampled(problem: Problem, search: Search, models: Sequence[Model]) -> dict[Set, Sampled]:
-    """Samples of the posteriors of fitted models, in which samples count for what they are worth, as their width requires."""
-    weights = search.target.weights * np.sqrt(search.worth)[problem.train.groups]
-    target = search.target._replace(weights=weights)
-    fits = problem.models.fit(target, [Task(m.fit.submodel, m.fit.x, stays=True) for m in models])
-    return {
-        m.effects: sample_posterior(fit, problem.models, target, _DRAWS, problem.seed)
-        for m, fit in zip(models, fits, strict=True)
-    }
 
 
 def _does_the_same(probe: Probe | None, called: dict[Set, Set], best: Model, model: Model) -> bool:

@@ -103,15 +103,10 @@ class Measured(NamedTuple):
         return estimate_noise(residual, self.gaps, self.used, self.groups, declared, correlated)
 
     def standard(self, predicted: Float[np.ndarray, "n J"], fitted: Bool[np.ndarray, "M n J"]) -> "Standard":
-        """What several uses of the measurements are judged by, from what predictions leave of them.
-
-        A sample of a correlated residual weighs √(1/τ) in a fit. With 1/τ, the samples of a real specimen count as a handful, the
-        priors hold the fits and the search stops where much is left; with 1, wrong formulas follow the residual too closely and
-        predict worse (both measured on masonry walls).
-        """
+        """What several uses of the measurements are judged by, from what predictions leave of them."""
         noise_estimate = self.noise_estimate(predicted)
         errors = np.fmax(self.declared, self.left(predicted))
-        weights, samples = fitted * np.sqrt(noise_estimate.worth)[self.groups], self.samples(fitted)
+        weights, samples = fitted * noise_estimate.worth[self.groups], self.samples(fitted)
         target = Target(self.values, self.sigma(errors, predicted), weights, noise_estimate.memory, samples)
         return Standard(errors, noise_estimate.worth, target)
 

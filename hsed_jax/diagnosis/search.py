@@ -8,8 +8,8 @@ candidates does not invent physics.
 
 **How wrong a model may be is learned, not assumed.**  A real specimen follows no textbook formula.  All models of a round are
 therefore judged with the errors that the best of them leaves: the error of an output is the declared one or that model's
-residual, whichever is larger, and samples of a correlated residual count for less (`hsed_jax.diagnosis.measured`).  Where the
-noise is all there is, both are as declared.
+residual, whichever is larger, and samples of a correlated residual count for what they are worth
+(`hsed_jax.inference.correlation`).  Where the noise is all there is, both are as declared.
 """
 
 import math
@@ -34,7 +34,7 @@ _STRICT = 1e-3
 # Standard deviations of the square of the noise that are no surprise.
 _DEVIATIONS = 3.0
 # So many sets of most evidence are scored, each in so many of its forms.
-_POOL, _FORMS = 12, 3
+_POOL, _FORMS = 6, 3
 # Of the models that rank first so many are considered to go on from.
 _TRIED = 5
 # An effect is replaced by so many others, the most probable ones; each is tried beside so many with the largest predicted gains.
