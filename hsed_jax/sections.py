@@ -243,6 +243,10 @@ class OwnLawEntry(Section):
     def _as_written(self) -> dict[str, str]:
         return {"file": self.file, "class": self.law}
 
+    def located(self, folder: Path) -> "OwnLawEntry":
+        """The same with an absolute path: written elsewhere, a relative path would lead elsewhere."""
+        return self.model_copy(update={"file": str((folder / self.file).resolve())})
+
 
 SpringEntry = Annotated[str, AfterValidator(_known_law)] | OwnLawEntry
 """A spring law by its name, or a user's own."""

@@ -20,8 +20,9 @@ from hsed_jax.measurements import (
     cycles_of,
     read_campaign,
 )
-from hsed_jax.measurements.cycles import absorbed_energy, returned
+from hsed_jax.measurements.cycles import returned
 from hsed_jax.measurements.turns import cycle_numbers, spans, turns
+from hsed_jax.physics.outputs import absorbed_energy
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

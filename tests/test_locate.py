@@ -12,8 +12,8 @@ from hsed_jax.criticism.locate import Place, _best_limit, _best_word, locate
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.inference.maximum import maximise
 from hsed_jax.measurements import Campaign, Experiment, Record
-from hsed_jax.measurements.cycles import absorbed_energy
 from hsed_jax.measurements.turns import branches, half_cycles
+from hsed_jax.physics.outputs import absorbed_energy
 from hsed_jax.study.build import Built
 
 # Strength A/β = 100 kN at a yield elongation of 5 mm; noise 1 % of the strength.

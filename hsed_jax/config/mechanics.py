@@ -78,11 +78,9 @@ class SpecimenModelEntry(Section):
         return "law", self.spring.law if isinstance(self.spring, OwnLawEntry) else self.spring
 
     def located(self, folder: Path) -> "SpecimenModelEntry":
-        """The same with absolute paths: written elsewhere, a relative path would lead elsewhere."""
-        if not isinstance(law := self.spring, OwnLawEntry):
-            return self
-        own = {"file": str((folder / law.file).resolve()), "class": law.law}
-        return self.model_copy(update={"spring": OwnLawEntry.model_validate(own)})
+        """The same with absolute paths."""
+        law = self.spring
+        return self.model_copy(update={"spring": law.located(folder)}) if isinstance(law, OwnLawEntry) else self
 
 
 class OneSpecimenEntry(SpecimenEntry):

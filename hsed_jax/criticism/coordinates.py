@@ -8,10 +8,9 @@ import numpy as np
 from hsed_jax.criticism.prediction import Prediction, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record
-from hsed_jax.measurements.cycles import absorbed_energy
 from hsed_jax.measurements.turns import branches, cycle_numbers, frequencies, half_cycles
 from hsed_jax.physics.names import named, owner_of
-from hsed_jax.physics.outputs import channel
+from hsed_jax.physics.outputs import absorbed_energy, channel
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ import numpy as np
 
 from hsed_jax.measurements.noise import noise_estimate
 from hsed_jax.measurements.turns import Span, spans
+from hsed_jax.physics.outputs import absorbed_energy
 from hsed_jax.tables import Table, Tabular, cell
 
 SIDES = (-1.0, 1.0)
@@ -150,11 +151,6 @@ def cycles_of(force, elongation, along=None) -> Cycles:
     group = _groups(np.fmax(*np.abs(peaks)))
     return Cycles(begin, end, is_whole, peaks, forces, at, energy, secant, damping, unloading, reloading, residual,
                   _strength_loss(forces, group), group)  # fmt: skip
-
-
-def absorbed_energy(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
-    """Work done on the specimen up to each sample [J], by the trapezoidal rule, (m,)."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(elongation))])
 
 
 def returned(cycles: Cycles, elongation: np.ndarray, force: np.ndarray) -> list[int]:

@@ -196,5 +196,5 @@ CYCLIC_ELONGATION = Declared(
 CYCLES = 2
 """Full cycles at each amplitude, if a study gives neither them nor a protocol."""
 
-DECLARED = {known.name: known for known in (NEAR_FAULT_PULSE, RECORDED_MOTION, HISTORY_OF_A_FORCE, CYCLIC_ELONGATION)}
+DECLARED = {known.name: known for known in list(globals().values()) if isinstance(known, Declared)}
 """Excitations by their keys in a study."""

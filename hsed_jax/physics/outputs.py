@@ -127,9 +127,8 @@ def _at_the_end(state: str) -> Kept:
     return Kept((), after, value)
 
 
-def _energy(time: np.ndarray, channels: Channels) -> np.ndarray:
-    """Work [J] done until each sample, (n,)."""
-    force, elongation = channels["force"], channels["elongation"]
+def absorbed_energy(force: np.ndarray, elongation: np.ndarray) -> np.ndarray:
+    """Work done on the specimen up to each sample [J], by the trapezoidal rule, (m,)."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(elongation))])
 
 
@@ -139,7 +138,9 @@ def _energy_at(until: float) -> Quantity:
 
     def measured(time: np.ndarray, channels: Channels) -> float:
         elapsed = time - time[0]
-        return float(np.interp(until, elapsed, _energy(time, channels))) if elapsed[-1] >= until else float("nan")
+        if elapsed[-1] < until:
+            return float("nan")
+        return float(np.interp(until, elapsed, absorbed_energy(channels["force"], channels["elongation"])))
 
     def after(kept: tuple[Scalar, ...], step: "Step") -> tuple[Scalar, ...]:
         import jax.numpy as jnp
@@ -199,7 +200,7 @@ QUANTITIES: dict[str, Quantity] = {
         "largest work done on the specimen so far",
         (*_FORCE, *_ELONGATION),
         channels=lambda masses: ("force", "elongation"),
-        measured=lambda time, channels: float(np.max(np.abs(_energy(time, channels)))),
+        measured=lambda time, channels: float(np.abs(absorbed_energy(channels["force"], channels["elongation"])).max()),
         kept=_largest(lambda step: step.peak_energy),
         is_strength=True,
     ),

@@ -16,7 +16,7 @@ from hsed_jax.physics.effects import EFFECTS, called
 from hsed_jax.physics.names import named, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
-from hsed_jax.reporting.misfit_figures import hysteresis_loops, words_of_loop
+from hsed_jax.reporting.misfit_figures import hysteresis_loops, line_of_equality, quantity_of, words_of_loop
 from hsed_jax.reporting.style import Picture
 from hsed_jax.reporting.worth import EXPLAINED
 from hsed_jax.reporting.worth import shown as probability_text
@@ -276,7 +276,7 @@ def _scatter(before: Comparison, after: Comparison, pair: Pair) -> Picture:
     said = []
     for panel, name in zip(panels, names, strict=True):
         known = [
-            (look, split, _quantity(prediction, name))
+            (look, split, quantity_of(prediction, name))
             for comparison, look in ((before, "as it was"), (after, "improved"))
             for split, _, prediction in comparison.splits()
         ]
@@ -288,12 +288,7 @@ def _scatter(before: Comparison, after: Comparison, pair: Pair) -> Picture:
             panel.vlines(measured, mean - _90 * sd, mean + _90 * sd, color=colour, alpha=0.35, linewidth=0.9)
             panel.plot(measured, predicted, marker, ms=4.5, mfc=fill, mec=colour, mew=0.8, zorder=3,
                        label=f"{look}, {split}")  # fmt: skip
-        both = np.concatenate([v for *_, values in known for v in values[:2]]) / divisor
-        both = both[np.isfinite(both)]
-        ends = [float(both.min(initial=np.inf)), float(both.max(initial=-np.inf))] if both.size else [0.0, 1.0]
-        panel.plot(ends, ends, color=style.BLACK, linewidth=0.8, zorder=1, label="equal")
-        title = style.channel_title(name, pair)
-        panel.set(xlabel=f"{title}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
+        line_of_equality(panel, [values for *_, values in known], divisor, style.channel_title(name, pair), unit)
         old, new = (one.train.per_output.get(name, {}).get("nrmse", np.nan) for one in (before, after))
         said.append(f"{pair.called(name)}: error {style.amount(old)} before, {style.amount(new)} after")
     style.panel_titles(panels)
@@ -304,14 +299,6 @@ def _scatter(before: Comparison, after: Comparison, pair: Pair) -> Picture:
         f"improved model (circles): {style.lettered([*map(pair.called, names)])}.  Filled: train; open: test.",
         f"Scatter plots beside the line of equality. {'; '.join(said)}.",
     )
-
-
-def _quantity(prediction: Prediction, name: str) -> list[np.ndarray]:
-    """Measured, predicted, predictive mean and sd of a quantity where it was measured."""
-    column = int(np.flatnonzero(prediction.columns(name))[0])
-    used = prediction.used[:, column]
-    tables = (prediction.measured, prediction.shown, prediction.mean, prediction.sd)
-    return [table[used, column] for table in tables]
 
 
 @style.in_house_style

@@ -1,6 +1,6 @@
 """The figures of the misfit between measured and predicted: each experiment, all quantities, and a table."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -203,12 +203,7 @@ def measured_against_predicted(comparison: Comparison, campaign: Campaign) -> Pi
     figure, panels = style.panels(len(names), 3.0)
     said = []
     for panel, name in zip(panels, names, strict=True):
-        known = {}
-        for split, _, prediction in comparison.splits():
-            columns = prediction.columns(name)
-            used = prediction.used[:, columns][:, 0]
-            tables = (prediction.measured, prediction.shown, prediction.mean, prediction.sd)
-            known[split] = [table[:, columns][:, 0][used] for table in tables]
+        known = {split: quantity_of(prediction, name) for split, _, prediction in comparison.splits()}
         divisor, unit = display.shown(pair, name, *(v for values in known.values() for v in values[:2]))
         for split, values in known.items():
             measured, predicted, mean, sd = (v / divisor for v in values)
@@ -218,12 +213,7 @@ def measured_against_predicted(comparison: Comparison, campaign: Campaign) -> Pi
             said.append(
                 f"{pair.called(name)}, {split}: {measured.size} experiments, largest {style.peak(measured, unit)}"
             )
-        both = np.concatenate([v for values in known.values() for v in values[:2]]) / divisor
-        both = both[np.isfinite(both)]
-        ends = [float(both.min(initial=np.inf)), float(both.max(initial=-np.inf))] if both.size else [0.0, 1.0]
-        panel.plot(ends, ends, color=style.BLACK, linewidth=0.8, zorder=1, label="equal")
-        title = style.channel_title(name, pair)
-        panel.set(xlabel=f"{title}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
+        line_of_equality(panel, list(known.values()), divisor, style.channel_title(name, pair), unit)
     style.panel_titles(panels)
     style.legend(figure, *panels)
     return Picture(
@@ -232,6 +222,23 @@ def measured_against_predicted(comparison: Comparison, campaign: Campaign) -> Pi
         f"{style.lettered([*map(pair.called, names)])}.  Filled: train; open: test.",
         f"Scatter plots beside the line of equality. {'; '.join(said)}.",
     )
+
+
+def quantity_of(prediction: Prediction, name: str) -> list[np.ndarray]:
+    """Measured, predicted, predictive mean and sd of a quantity where it was measured."""
+    column = int(np.flatnonzero(prediction.columns(name))[0])
+    used = prediction.used[:, column]
+    tables = (prediction.measured, prediction.shown, prediction.mean, prediction.sd)
+    return [table[used, column] for table in tables]
+
+
+def line_of_equality(panel: Axes, known: Sequence[Sequence[np.ndarray]], divisor: float, title: str, unit: str) -> None:
+    """The line between all that is measured and predicted (`quantity_of`), and the titles of the axes."""
+    both = np.concatenate([v for values in known for v in values[:2]]) / divisor
+    both = both[np.isfinite(both)]
+    ends = [float(both.min(initial=np.inf)), float(both.max(initial=-np.inf))] if both.size else [0.0, 1.0]
+    panel.plot(ends, ends, color=style.BLACK, linewidth=0.8, zorder=1, label="equal")
+    panel.set(xlabel=f"{title}, measured [{style.unit_text(unit)}]", ylabel=f"predicted [{style.unit_text(unit)}]")
 
 
 @style.in_house_style

@@ -50,10 +50,8 @@ class VirtualEntry(SimulatedEntry):
 
     def located(self, folder: Path) -> "VirtualEntry":
         """The same with an absolute path of its law."""
-        if not isinstance(law := self.spring, OwnLawEntry):
-            return self
-        own = OwnLawEntry.model_validate({"file": str((folder / law.file).resolve()), "class": law.law})
-        return self.model_copy(update={"spring": own})
+        law = self.spring
+        return self.model_copy(update={"spring": law.located(folder)}) if isinstance(law, OwnLawEntry) else self
 
     def laboratory(self, site: Site) -> "Laboratory":
         """The virtual specimens and their sensors."""
