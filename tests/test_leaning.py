@@ -165,10 +165,10 @@ def test_terminal_and_report_begin_with_it(campaign, tmp_path, capsys):
     path.write_text(yaml.safe_dump(content()))
     assert main(["run", str(path), "--output", str(tmp_path / "run")]) == 0, capsys.readouterr().err
     shown = capsys.readouterr().out
-    assert shown.index("lean") < shown.index("calibrated on 1 experiment")
+    assert shown.index("on a bound") < shown.index("calibrated on 1 experiment")
     check_what_is_written(tmp_path / "run")
     page = (tmp_path / "run" / "report.html").read_text()
-    assert page.partition('id="sentence">')[2].startswith(("Estimates lean", "An estimate leans"))
+    assert page.partition('id="sentence">')[2].startswith(("Estimates are on bounds", "An estimate is on a bound"))
 
 
 # --- what is physically possible -----------------------------------------------------------------------------------------
