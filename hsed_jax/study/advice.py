@@ -24,7 +24,7 @@ _COMPILING = 15.0
 _SEARCHED = 6
 # Memory [B]: of the program; on each core, of a step in a tile of a batch and of a number in a chunk of them; of a number of each
 # experiment in a search, which holds a batch of them at most.
-_PROGRAM, _TILE, _CHUNK, _SEARCH, _BATCH = 0.7e9, 64 * 32, 256 * 24, 1500 * 8, 0.5e9
+_PROGRAM, _TILE, _CHUNK, _SEARCH, _BATCH = 0.95e9, 64 * 32, 256 * 24, 1500 * 8, 0.5e9
 
 
 def frequency_doubts(mechanics: AbstractMechanics, campaign: Campaign) -> list[str]:
