@@ -60,8 +60,7 @@ def diagnosed(*records: Record) -> Diagnosis:
 
 def case(name: str) -> dict[str, Any]:
     """The verdicts of one specimen."""
-    amplitudes = [level.amplitude for level in protocol("fema_461").levels() for _ in range(level.quarters // 4)]
-    named = np.asarray([side * STROKE * a for a in amplitudes for side in (1, -1)])
+    named = np.asarray([side * STROKE * a for a in protocol("fema_461").amplitudes() for side in (1, -1)])
     first = tested(name, named, 0)
     found = diagnosed(first)
     row: dict[str, Any] = {"name": name, "named": _plain(found)}

@@ -25,8 +25,8 @@ def softening(turns, of_energy: float, of_peak: float, each: int = 30) -> tuple[
     u = np.concatenate([np.linspace(a, b, each, endpoint=False) for a, b in pairwise(turns)])
     force, z, energy, largest = np.zeros(u.size), 0.0, 0.0, 0.0
     for k in range(1, u.size):
+        step = (u[k] - u[k - 1]) / 10
         for part in np.linspace(u[k - 1], u[k], 11)[1:]:
-            step = part - (u[k - 1] if part == u[k - 1] else part - (u[k] - u[k - 1]) / 10)
             z += (STIFFNESS * (1 - abs(z) * np.sign(step * z) / (STIFFNESS * YIELD))) * step
             energy, largest = energy + abs(z * step), max(largest, abs(part))
         force[k] = z * np.exp(-of_energy * energy / (STIFFNESS * YIELD**2) - of_peak * largest / YIELD)

@@ -137,17 +137,21 @@ def over_the_range(visited: Range, step: float, count: int = 32) -> Histories:
 
 def along_the_test(visited: Range, step: float) -> Histories:
     """The reversals of the test up to each of `PLACES` along its path; arguments as of `over_the_range`."""
-    turns = visited.turns
-    if len(turns) > _MOST:
-        # The largest changes are kept, in their order.
-        kept = np.sort(np.argsort(-np.abs(np.diff(turns)), kind="stable")[:_MOST])
-        turns = np.concatenate([[0.0], turns[kept + 1]])
+    turns = largest_changes(visited.turns, _MOST)
     passed = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(turns)))])
     runs = []
     for place in PLACES:
         done = turns[passed <= place * passed[-1] * (1 + 1e-12)]
         runs.append([*_through(np.append(done, 0.0), 0.5 * visited.rate, step), *_loop(visited, visited.rate, step)])
     return _joined(runs, np.full(len(PLACES), visited.rate), np.zeros(len(PLACES)))
+
+
+def largest_changes(turns: Float[np.ndarray, " r"], most: int) -> Float[np.ndarray, " k"]:
+    """Reversals from zero on, of which the largest changes are kept in their order, if there are more than `most`."""
+    if len(turns) <= most:
+        return turns
+    kept = np.sort(np.argsort(-np.abs(np.diff(turns)), kind="stable")[:most])
+    return np.concatenate([[0.0], turns[kept + 1]])
 
 
 def imposed(turns: Sequence[np.ndarray], rates: Sequence[float], step: float) -> Imposition:

@@ -9,14 +9,14 @@ Each explanation predicts the force of every candidate.  The first candidate wit
 between the explanations (`hsed_jax.diagnosis.rivals`) is proposed.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import cycle, islice
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from hsed_jax.behaviour.histories import Range, imposed
+from hsed_jax.behaviour.histories import Range, imposed, largest_changes
 from hsed_jax.diagnosis.fits import Model
 from hsed_jax.diagnosis.probing import Probe
 from hsed_jax.diagnosis.rivals import (
@@ -32,15 +32,15 @@ from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.protocols import PROTOCOLS
 
 # Samples of the force that count, at equal steps of the path, and reversals of a candidate at most.
-_SAMPLES, _REVERSALS = 200, 48
+_SAMPLES, _REVERSALS = 200, 80
 # The first candidate with so much of the largest expectation is proposed: the test itself and fast loadings come first.
 _NEARLY = 0.9
-# A step is so many times as long as where behaviour is read.
+# The steps are this many times longer than those of the behaviour.
 _COARSER = 2.0
 # Rates over that of the test.
 _RATES = (1.0, 0.1)
 _REPEATED = "the same test again"
-# Amplitudes of the cycles over the largest elongation, from the first on; a sequence is repeated.
+# Amplitudes of the cycles over the largest elongation, in order; a sequence is repeated, a protocol is not.
 _SEQUENCES = {
     "cycles of constant amplitude": (1.0,),
     "cycles of half the amplitude": (0.5,),
@@ -88,8 +88,8 @@ class Loading(NamedTuple):
         first = ", ".join(f"{u / divisor:.3g}" for u in self.reversals[:6])
         return (
             f"the loading that separates them best on a new specimen is {self.name}: reversals at {first}, ... {unit}; its "
-            f"expected log Bayes factor is {self.expected_log_bayes_factor / max(self.repeated, WORTHWHILE):.2g} times that of "
-            "the same test again"
+            f"expected log Bayes factor is {self.expected_log_bayes_factor:.2g} nats, and that of the same test again is "
+            f"{self.repeated:.2g} nats"
         )
 
 
@@ -120,7 +120,7 @@ def next_loading(probe: Probe, search: Search, rivals: Sequence[Model]) -> Loadi
     magnitude = np.sqrt(np.mean(predictions[0].mean ** 2, axis=1, keepdims=True))
     size = magnitude if problem.train.errors[group].is_relative else 1.0
     root = np.broadcast_to(np.sqrt(search.worth[group]) / (search.errors[group] * size), samples.shape)
-    # They are told as equally good.
+    # The verdict states them as equally good.
     information = expected_log_bayes_factor(predictions, root, np.full(len(rivals), 1 / len(rivals)))
     best = int(np.argmax(information >= _NEARLY * information.max()))
     name, turns, rate = sequences[best]
@@ -131,21 +131,23 @@ def next_loading(probe: Probe, search: Search, rivals: Sequence[Model]) -> Loadi
 
 def _sequences(visited: Range) -> Iterator[tuple[str, Float[np.ndarray, " r"], float]]:
     """Names, reversals from zero on [m] and rates [m/s], the measured test first."""
-    shapes = {name: _cycles(amplitudes, visited) for name, amplitudes in _SEQUENCES.items()}
+    many = _REVERSALS // 2
+    shapes = {name: _within_path(islice(cycle(shares), many), visited) for name, shares in _SEQUENCES.items()}
     for protocol in PROTOCOLS.values():
-        amplitudes = [level.amplitude for level in protocol.levels() for _ in range(level.quarters // 4)]
-        if amplitudes:
-            shapes[f"the protocol {protocol.title}"] = _cycles(np.asarray(amplitudes) / max(amplitudes), visited)
+        shares = np.asarray(protocol.amplitudes()) / max(protocol.amplitudes(), default=1.0)
+        turns = _within_path(shares, visited)
+        # A protocol that the path cuts short is another loading.
+        if len(turns) == 1 + 2 * len(shares) > 1:
+            shapes[f"the protocol {protocol.title}"] = turns
     for rate in _RATES if visited.has_time else _RATES[:1]:
         slowly = "" if rate == 1 else f", {1 / rate:.0f} times slower"
-        for name, turns in {_REPEATED: visited.turns[: _REVERSALS + 1], **shapes}.items():
+        for name, turns in {_REPEATED: largest_changes(visited.turns, _REVERSALS), **shapes}.items():
             yield name + slowly, turns, rate * visited.rate
 
 
-def _cycles(amplitudes: Sequence[float] | np.ndarray, visited: Range) -> Float[np.ndarray, " r"]:
-    """Reversals of cycles of both signs, repeated up to the path of the test."""
-    sides = [side * a for a in islice(cycle(amplitudes), _REVERSALS // 2) for side in (1.0, -1.0)]
-    turns = visited.elongation * np.asarray([0.0, *sides])
+def _within_path(shares: Iterable[float], visited: Range) -> Float[np.ndarray, " r"]:
+    """Reversals of cycles of both signs from zero on [m], as far as the path of the test; shares of its largest elongation."""
+    turns = visited.elongation * np.asarray([0.0, *(side * share for share in shares for side in (1.0, -1.0))])
     passed = np.cumsum(np.abs(np.diff(turns, prepend=0.0)))
     return turns[passed <= visited.path * (1 + 1e-9)]
 

@@ -97,6 +97,10 @@ class Protocol:
                 levels.append(Level(TRAILING * step.amplitude, 4 * step.trailing))
         return tuple(levels)
 
+    def amplitudes(self) -> tuple[float, ...]:
+        """Amplitudes of the full cycles of the table, in order; none of a single push."""
+        return tuple(level.amplitude for level in self.levels() for _ in range(level.quarters // 4))
+
     def extent(self, count: int | None = None) -> str:
         """The number of cycles, and the largest amplitude."""
         levels = self.levels(count)
