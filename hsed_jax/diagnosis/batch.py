@@ -297,8 +297,8 @@ def _present(parts: Sequence[Part], count: int) -> Present:
 def _steps_to(
     used: Bool[np.ndarray, "n J"], conditions: Conditions, observation: Observation, model: AbstractModel
 ) -> Int[np.ndarray, "n s1"] | None:
-    """Steps to the first 0, 1, 2, … samples of each experiment, at most to the last that is used; None where a simulation is not
-    one of histories over a record."""
+    """Steps to the first 0, 1, 2, … samples of each experiment, at most to the last that is used and to the end of its record;
+    None where a simulation is not one of histories over a record."""
     recorded = conditions.recorded
     if not isinstance(observation, Histories) or recorded is None or model.timeline is None:
         return None
@@ -309,7 +309,9 @@ def _steps_to(
     # One that is not measured is asked for as a whole.
     last = np.where(is_used.any(axis=1), np.minimum(count - np.argmax(is_used[:, ::-1], axis=1) + _AHEAD, count), count)
     whole = np.minimum(ends, ends[np.arange(len(used)), last - 1][:, None])
-    return np.minimum(np.concatenate([whole[:, :1], whole], axis=1), steps)
+    # Padded samples stand at the last step of the program, after the record.
+    ended = np.full(len(used), steps) if recorded.stop is None else np.broadcast_to(recorded.stop, len(used))
+    return np.minimum(np.concatenate([whole[:, :1], whole], axis=1), ended[:, None])
 
 
 @program
