@@ -150,7 +150,7 @@ class NestedModels:
             self._linearise(target, [f for f in active if f.mended < 0])
             self._advance(target, active, _lead(fits))
         _give_up(fits, tasks, 1)
-        self._linearise(target, [f for f in fits if np.isfinite(f.cost) and f.mended])
+        self._linearise(target, [f for f in fits if not f.done and f.mended])
         return fits
 
     def _taken_over(self, target: Target, fit: FitState, known: FitState | None) -> bool:
@@ -174,9 +174,9 @@ class NestedModels:
             for (one, x), cost, predicted in zip(trials, *self._costs(target, trials), strict=True):
                 gain, was_mended = one.cost - cost, one.mended > 0
                 if gain > 0:
-                    self._move(target, one, x, cost, predicted)
-                    one.damping = max(one.damping / 5, 1e-9)
                     is_settled = gain < _GAIN and not was_mended
+                    self._move(target, one, x, cost, predicted, is_settled)
+                    one.damping = max(one.damping / 5, 1e-9)
                     one.done = is_settled or _is_beaten(one, gain, lead)
                 elif was_mended:
                     one.mended = -1
@@ -191,11 +191,17 @@ class NestedModels:
         for one in pending:
             one.done = True
 
-    def _move(self, target: Target, fit: FitState, x: np.ndarray, cost: float, predicted: np.ndarray) -> None:
-        """Go to a better point, with derivatives that are right along the step that led there, if that is worth it."""
+    def _move(
+        self, target: Target, fit: FitState, x: np.ndarray, cost: float, predicted: np.ndarray, is_settled: bool
+    ) -> None:
+        """Go to a better point, with derivatives that are right along the step that led there, if that is worth it; those of a
+        fit that has settled are as good there."""
         step, gain, change = (x - fit.x)[fit.free], fit.cost - cost, predicted - fit.predicted
         expected = self._expected(fit, x)
         fit.x, fit.cost, fit.predicted = x, cost, predicted
+        if is_settled:
+            fit.gradient = fit.gradient + fit.hessian @ step
+            return
         is_as_expected = gain > max(_GAIN, _EXPECTED * expected)
         fit.mended = fit.mended + 1 if fit.slopes.size and is_as_expected and fit.mended < _MENDED else -1
         if fit.mended > 0:

