@@ -125,9 +125,8 @@ def test_simulations_of_one_model_run_together_and_often_in_a_program_of_their_o
     assert sorted(len(served.columns) for served, _ in found)[0] == 2
 
 
-@pytest.mark.parametrize("is_short", [False, True])
-def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
-    """To the last sample that is used, or earlier where fewer are asked for: those are as in the whole simulation."""
+def two_records():
+    """The model of a long record and a short one of imposed elongations, and the measurements."""
     phase = np.linspace(0, 6 * np.pi, 240)
     elongation = 0.02 * phase / phase[-1] * np.sin(phase)
     channels, records = {"elongation": "m", "force": "N"}, {"long": slice(0, 240), "short": slice(0, 100)}
@@ -144,7 +143,13 @@ def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
         "steps": ["calibrate"],
     }
     built = Built(load_study(study), campaign)
-    data = built.inference.data(campaign, campaign.experiments)
+    return built, built.inference.data(campaign, campaign.experiments)
+
+
+@pytest.mark.parametrize("is_short", [False, True])
+def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
+    """To the last sample that is used, or earlier where fewer are asked for: those are as in the whole simulation."""
+    built, data = two_records()
     names, used = ("A", "beta"), np.asarray(data.weights) > 0
     if is_short:
         used[0, 150:] = False
@@ -168,3 +173,22 @@ def test_a_history_is_simulated_as_far_as_it_is_asked_for(is_short):
         model, data.conditions, None, jnp.asarray(thetas), batch, jnp.asarray(9), jnp.full(9, 40)
     )
     assert "callback" not in lowered.as_text()
+
+
+def test_nothing_is_simulated_after_the_end_of_a_record(monkeypatch):
+    built, data = two_records()
+    asked: list[np.ndarray] = []
+
+    def outputs(*args):
+        asked.append(np.asarray(args[-1]))
+        return _outputs(*args)
+
+    _outputs = module._outputs
+    monkeypatch.setattr(module, "_outputs", outputs)
+    used = np.asarray(data.weights) > 0
+    batch = Batch(built.simulation.simulator, built.inference.observation, ("A", "beta"), data.conditions, used=used)
+    batch(np.tile([2.0e7, 200.0], (2, 1)), np.array([0, 1]))
+    # Steps that the records take, in a program that has more.
+    taken = [int(built.inference.observation.grid.divisions(e.record).sum()) for e in built.experiments.campaign]
+    assert sorted({int(stop) for stops in asked for stop in stops}) == sorted(taken)
+    assert max(taken) < built.simulation.simulator.timeline.steps

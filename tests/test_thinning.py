@@ -4,12 +4,15 @@ import re
 
 import numpy as np
 import pytest
+from builders.misfits import prediction
 
 import hsed_jax as hx
+from hsed_jax.criticism.prediction import noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
+from hsed_jax.measurements.noise import noise_estimate
 from hsed_jax.measurements.thinning import loss, thinned
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.elements import Element
@@ -78,6 +81,19 @@ def test_what_thinning_costs_is_small_and_said():
     assert "from 28000 to" in str(lost) and "dissipated energy changes by 0.0" in str(lost)
     coarse = loss(record, thinned(experiment, 400).record)
     assert coarse.deviation > lost.deviation and coarse.kept <= 400
+
+
+def test_the_noise_of_a_thinned_record_is_that_of_all_its_samples():
+    experiment = thinned(Experiment("E01", record=long_record()), 200)
+    record = experiment.record
+    assert record.noise["force"] == pytest.approx(1e-3 * STRENGTH, rel=0.05)
+    # What is left of the samples does not resolve the loops.
+    assert noise_estimate(record.time, record["force"]) > 5 * record.noise["force"]
+    values, ones = record["force"][None], np.ones((1, len(record)))
+    seen = prediction(("force",), np.zeros(len(record), dtype=int), [experiment], values)
+    np.testing.assert_allclose(
+        noise_sizes(seen, "force", declared=False), np.fmin(record.noise["force"], seen.sigma) * ones
+    )
 
 
 def test_a_short_record_stays_as_it_is():

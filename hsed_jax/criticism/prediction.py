@@ -191,7 +191,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         # The error of the model widens the band, but does not count as noise.
         factors, whole = fit.inflation[posterior.groups], parts["noise"]
         sigma, noise = sigma / factors, whole / factors
-        shown = _shown(experiments, measured, used, posterior.groups)
+        shown = _shown(experiments, measured, used, posterior.groups, posterior.outputs)
         noise = np.where(posterior.is_declared[posterior.groups], noise, np.fmin(noise, shown))
         parts |= {"noise": noise, "model": np.sqrt(np.maximum(whole**2 - noise**2, 0.0))}
     return Prediction(
@@ -221,10 +221,16 @@ def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarr
         return sigma
     measured, used = prediction.measured[:, columns], prediction.used[:, columns]
     one = np.zeros(int(columns.sum()), dtype=int)
-    return np.fmin(_shown(prediction.experiments, measured, used, one), sigma)
+    return np.fmin(_shown(prediction.experiments, measured, used, one, (output,)), sigma)
 
 
-def _shown(experiments: Sequence[Experiment], measured: np.ndarray, used: np.ndarray, groups: np.ndarray) -> np.ndarray:
+def _shown(
+    experiments: Sequence[Experiment],
+    measured: np.ndarray,
+    used: np.ndarray,
+    groups: np.ndarray,
+    outputs: Sequence[str],
+) -> np.ndarray:
     """Sd of the noise of each history from its record, (n, J); NaN if it cannot be estimated."""
     found = np.full(measured.shape, np.nan)
     for row, experiment in enumerate(experiments):
@@ -235,7 +241,8 @@ def _shown(experiments: Sequence[Experiment], measured: np.ndarray, used: np.nda
             own = used[row, columns]
             if own.sum() >= _SEEN:
                 time = experiment.record.time[own[: len(experiment.record)]]
-                found[row, columns] = noise_estimate(time, measured[row, columns][own])
+                known = experiment.record.noise.get(outputs[group])
+                found[row, columns] = noise_estimate(time, measured[row, columns][own]) if known is None else known
     return found
 
 

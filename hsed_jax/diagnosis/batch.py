@@ -261,7 +261,9 @@ class Batch:
             # As one value a row: to sort rows by their columns takes ten times as long.
             which = thetas != np.asarray(self._present.neutral)
             bits = np.packbits(which, axis=1)
-            _, firsts, kind_of = np.unique(bits.view(f"V{bits.shape[1]}").ravel(), return_index=True, return_inverse=True)
+            _, firsts, kind_of = np.unique(
+                bits.view(f"V{bits.shape[1]}").ravel(), return_index=True, return_inverse=True
+            )
             for number, differs in enumerate(which[firsts]):
                 places, key = np.flatnonzero(kind_of == number), differs.tobytes()
                 self._spent[key] += int(lengths[places].sum())

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import expit
 
 from hsed_jax.inference.priors import Prior
@@ -111,7 +111,13 @@ class Box:
         with np.errstate(divide="ignore"):
             lower, upper = self.x(np.where(self._is_log, np.maximum(possible, 0.0), possible))
         self.low, self.high = np.maximum(self.low, lower), np.minimum(self.high, upper)
-        self._densities = [_level() if n in flat else c.density for n, c in zip(priors, coordinates, strict=True)]
+        densities = [_level() if n in flat else c.density for n, c in zip(priors, coordinates, strict=True)]
+        # All in one table: one by one they would take longer than all else between simulations.
+        self._last = np.asarray([d.c.shape[1] - 1 for d in densities], dtype=int)
+        most = int(self._last.max(initial=0)) + 2
+        self._knots, self._cubics = np.full((len(densities), most), np.inf), np.zeros((len(densities), most - 1, 4))
+        for knots, cubics, density in zip(self._knots, self._cubics, densities, strict=True):
+            knots[: density.x.size], cubics[: density.x.size - 1] = density.x, density.c.T
         self._quantiles: dict[tuple[int, tuple[float, ...]], np.ndarray] = {}
 
     def theta(self, x: np.ndarray) -> np.ndarray:
@@ -133,14 +139,20 @@ class Box:
 
     def log_density(self, x: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Log prior density in x of the given columns (indices), x of shape (B, P), result (B, len(columns))."""
-        return np.stack([self._densities[k](x[:, k]) for k in columns], axis=1)
+        (a, b, c, d), along = self._pieces(x[:, columns], columns)
+        return ((a * along + b) * along + c) * along + d
 
     def terms(self, x: np.ndarray, columns: np.ndarray) -> Terms:
         """Log prior density in x, slope and curvature of the given columns, x of shape (P,), results (len(columns),)."""
-        value, slope, second = (
-            np.asarray([float(self._densities[k](x[k], order)) for k in columns]) for order in range(3)
-        )
-        return Terms(value, slope, np.maximum(-second, 0.0))
+        (a, b, c, d), along = self._pieces(x[columns], columns)
+        value, slope = ((a * along + b) * along + c) * along + d, (3 * a * along + 2 * b) * along + c
+        return Terms(value, slope, np.maximum(-(6 * a * along + 2 * b), 0.0))
+
+    def _pieces(self, x: Float[np.ndarray, "*B q"], columns: Int[np.ndarray, " q"]) -> tuple[Any, np.ndarray]:
+        """The cubics of the splines at x, highest power first, (4, *B, q), and how far after its knot each is, (*B, q)."""
+        knots = self._knots[columns]
+        piece = np.clip((knots <= x[..., None]).sum(axis=-1) - 1, 0, self._last[columns])
+        return np.moveaxis(self._cubics[columns, piece], -1, 0), x - knots[np.arange(len(columns)), piece]
 
     def _quantile(self, k: int, shares: tuple[float, ...]) -> np.ndarray:
         if (k, shares) not in self._quantiles:

@@ -1,5 +1,6 @@
 """One experiment: its inputs, its record, its quantities, all in SI."""
 
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Literal, get_args
 
@@ -58,6 +59,8 @@ class Channel:
 class Record:
     """A time history: `time` (n,) [s] and `channels`, each (n,) [SI].  The arrays are made read-only.
 
+    `noise` has the standard deviations of channels [SI] that were estimated before samples were left out.
+
     Raises:
         UserError: There are fewer than two samples, the length of a channel differs from that of the time, or a number
             is impossible, such as infinity.
@@ -65,6 +68,7 @@ class Record:
 
     time: np.ndarray
     channels: dict[str, np.ndarray]
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self):
         """Freeze the arrays and check their lengths."""

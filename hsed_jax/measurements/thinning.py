@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hsed_jax.measurements.experiment import Experiment, Record
+from hsed_jax.measurements.noise import noise_estimate
 from hsed_jax.measurements.turns import half_cycles
 
 _EVENLY = 0.2
@@ -73,7 +74,9 @@ def thinned(experiment: Experiment, samples: int) -> Experiment:
     fixed = np.unique(np.concatenate(kept))
     evenly = np.searchsorted(s, np.linspace(0, s[-1], max(samples - len(fixed), samples // 2)))
     chosen = np.union1d(fixed, np.minimum(evenly, rows - 1)).astype(int)
-    thin = Record(record.time[chosen], {name: values[chosen] for name, values in record.channels.items()})
+    # The samples that are left do not resolve the signal, whose curvature would count as noise.
+    noise = {name: noise_estimate(record.time[within], values[within]) for name, values in record.channels.items()}
+    thin = Record(record.time[chosen], {name: values[chosen] for name, values in record.channels.items()}, noise)
     return replace(experiment, record=thin)
 
 
