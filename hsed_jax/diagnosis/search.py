@@ -382,8 +382,18 @@ class Search:
 
     def _lowest(self) -> FitState:
         """The fit of the round that leaves least, with what a set's size costs."""
-        lowest = min(self._around(), key=lambda s: self._fits.best(s).cost - self._log_prior(len(s)))
+        lowest = min(self._around(), key=lambda s: self._own_cost(self._fits.best(s)) - self._log_prior(len(s)))
         return self._fits.best(lowest)
+
+    def _own_cost(self, fit: FitState) -> float:
+        """The cost of a fit with the errors that it leaves itself."""
+        if not np.isfinite(fit.cost):
+            return math.inf
+        left, used = self.measured.left(fit.predicted), self.measured.used
+        errors = np.fmax(self.measured.declared, left)
+        counts = [used[:, self.measured.groups == group].sum() for group in range(len(errors))]
+        likelihood = np.sum(self.worth * counts * (np.log(errors) + 0.5 * (left / errors) ** 2))
+        return float(likelihood - self.models.box.log_density(fit.x[None], fit.free).sum())
 
     def _judge_by(self, fit: FitState) -> None:
         self.errors, self.worth, self.target = self.measured.standard(fit.predicted, self.held_out.folds.fitted)
