@@ -179,8 +179,8 @@ def test_a_search_that_was_interrupted_and_goes_on_makes_no_fit_twice(tmp_path, 
         before = len(made)
         # Another process makes other programs of the same models, which round in another way.
         found, _, rest, had = searched(f"to {share}", rounding=1e-13, resume=True)
-        assert had == made and len(had) + len(rest) == len(all_of_them)
-        assert found.best == whole.best
+        assert had == made and rest
+        assert found.best == whole.best and found.path == whole.path
         for effects in (frozenset(), whole.best):
             assert found.model(effects).fit.cost == pytest.approx(whole.model(effects).fit.cost, abs=1e-3)
 
@@ -232,6 +232,24 @@ def test_an_effect_is_found_that_does_nothing_beside_the_law_as_it_was_fitted():
     assert search.best == {"effect_5"}
     found = search.model(search.best).fit
     assert models.theta(found.x, found.submodel)[[1, 7]] == pytest.approx([3.0, 2.0], abs=0.1)
+
+
+@pytest.mark.parametrize("declared", [SIGMA, 3.0, math.nan])
+def test_the_surprise_of_measurements_is_minus_the_log_density_with_errors_that_predictions_leave(declared):
+    values = data_of(0)
+    measured, random = measured_of(values, declared=declared), np.random.default_rng(2)
+    some = measured.standard(values + random.standard_normal(values.shape), np.ones((1, N, J), dtype=bool))
+    standard = some._replace(worth=np.array([0.3]))
+    found, expected = [], []
+    for size in (0.2, 1.0, 5.0):
+        predicted = values + size * random.standard_normal(values.shape)
+        sigma = np.fmax(declared, np.sqrt(np.mean((predicted - values) ** 2)))
+        found.append(measured.surprise(predicted, standard, 0))
+        expected.append(-0.3 * stats.norm.logpdf(values, predicted, sigma).sum())
+        # Five parameters take five of the 72 samples that these are worth.
+        fewer = found[-1] - 5 * np.log(sigma / standard.errors[0])
+        assert measured.surprise(predicted, standard, 5) == pytest.approx(fewer)
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-9)
 
 
 def test_two_effects_are_not_given_up_for_one_with_more_parameters_that_predicts_as_well():

@@ -91,6 +91,23 @@ class Measured(NamedTuple):
         found = [float(np.sqrt(np.mean(residual[own] ** 2))) if own.any() else 1.0 for own in owns]
         return np.maximum(found, 1e-9)
 
+    def surprise(self, predicted: np.ndarray, standard: "Standard", parameters: int) -> float:
+        """Minus the log density of the measurements beside predictions with errors of their own [nats], up to a constant.
+
+        The error of an output is what the predictions leave, or the declared one where that is larger.  Fitted parameters take
+        as many samples away, which tell nothing of the errors (restricted likelihood, Patterson & Thompson 1971).
+
+        Arguments:
+            predicted: (n, J).
+            standard: what the samples are worth, and the errors that those of the predictions are compared with.
+            parameters: how many were fitted.
+        """
+        left = self.left(predicted)
+        errors = np.fmax(self.declared, left)
+        counts = standard.worth * [self.used[:, self.groups == g].sum() for g in range(len(errors))]
+        share = max(1 - parameters / counts.sum(), 0.0)
+        return float(np.sum(counts * (share * np.log(errors / standard.errors) + 0.5 * (left / errors) ** 2)))
+
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
         """σ = s·c of predictions, SI; one where there is no measurement."""
         return np.where(self.used, errors[self.groups] * self.scales(predicted), 1.0)

@@ -9,7 +9,12 @@ candidates does not invent physics.
 **How wrong a model may be is learned, not assumed.**  A real specimen follows no textbook formula.  All models of a round are
 therefore judged with the errors that the best of them leaves: the error of an output is the declared one or that model's
 residual, whichever is larger, and samples of a correlated residual count for what they are worth
-(`hsed_jax.inference.correlation`).  Where the noise is all there is, both are as declared.
+(`hsed_jax.inference.correlation`).  Where the noise is all there is, both are as declared.  The best model has the least
+
+$$\sum_o n_o\Big(\frac{n-p}{n}\log s_o + \tfrac12\frac{\hat s_o^2}{s_o^2}\Big) - \log p(x) - \log P(M),$$
+
+with $\hat s_o$ the residual that it leaves of output o itself, $s_o$ the larger of that and the declared error, $n_o$ what the
+samples of the output are worth, n their sum, and p the number of its parameters.
 """
 
 import math
@@ -20,7 +25,7 @@ from jaxtyping import Float, Int
 
 from hsed_jax.diagnosis.fit_state import FitState, Target, Task
 from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of
-from hsed_jax.diagnosis.measured import Measured
+from hsed_jax.diagnosis.measured import Measured, Standard
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.propose import beside, pairs
@@ -308,7 +313,7 @@ class Search:
             self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self) -> None:
-        """Take the errors from the best fit of the round, and fit all again with them."""
+        """Take the errors from the best fit of the round, and judge all again with them."""
         around = self._around()
         for _ in range(2):
             self._judge_by(self._lowest())
@@ -381,19 +386,18 @@ class Search:
         return [*sets, *(s for s in alone if s in self._fits)]
 
     def _lowest(self) -> FitState:
-        """The fit of the round that leaves least, with what a set's size costs."""
-        lowest = min(self._around(), key=lambda s: self._own_cost(self._fits.best(s)) - self._log_prior(len(s)))
-        return self._fits.best(lowest)
+        """The best fit of the round, each with the errors that it leaves itself, and with what a set's size costs."""
 
-    def _own_cost(self, fit: FitState) -> float:
-        """The cost of a fit with the errors that it leaves itself."""
-        if not np.isfinite(fit.cost):
-            return math.inf
-        left, used = self.measured.left(fit.predicted), self.measured.used
-        errors = np.fmax(self.measured.declared, left)
-        counts = [used[:, self.measured.groups == group].sum() for group in range(len(errors))]
-        likelihood = np.sum(self.worth * counts * (np.log(errors) + 0.5 * (left / errors) ** 2))
-        return float(likelihood - self.models.box.log_density(fit.x[None], fit.free).sum())
+        standard = Standard(self.errors, self.worth, self.target)
+
+        def cost(effects: Set) -> float:
+            fit = self._fits.best(effects)
+            if not np.isfinite(fit.cost):
+                return math.inf
+            log_density = self.models.box.log_density(fit.x[None], fit.free).sum() + self._log_prior(len(effects))
+            return self.measured.surprise(fit.predicted, standard, len(fit.free)) - float(log_density)
+
+        return self._fits.best(min(self._around(), key=cost))
 
     def _judge_by(self, fit: FitState) -> None:
         self.errors, self.worth, self.target = self.measured.standard(fit.predicted, self.held_out.folds.fitted)
