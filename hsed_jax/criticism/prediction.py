@@ -241,7 +241,7 @@ def _shown(
             own = used[row, columns]
             if own.sum() >= _SEEN:
                 time = experiment.record.time[own[: len(experiment.record)]]
-                known = experiment.record.noise.get(outputs[group])
+                known = experiment.record.noise.get(outputs[int(group)])
                 found[row, columns] = noise_estimate(time, measured[row, columns][own]) if known is None else known
     return found
 

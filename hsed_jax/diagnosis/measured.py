@@ -104,7 +104,7 @@ class Measured(NamedTuple):
         """
         left = self.left(predicted)
         errors = np.fmax(self.declared, left)
-        counts = standard.worth * [self.used[:, self.groups == g].sum() for g in range(len(errors))]
+        counts = standard.worth * np.asarray([int(self.used[:, self.groups == g].sum()) for g in range(len(errors))])
         share = max(1 - parameters / counts.sum(), 0.0)
         return float(np.sum(counts * (share * np.log(errors / standard.errors) + 0.5 * (left / errors) ** 2)))
 

@@ -125,11 +125,11 @@ def save(picture: Picture, folder: str | Path, name: str) -> tuple[Path, Path]:
     folder.mkdir(parents=True, exist_ok=True)
     about = {"Title": picture.caption, "Description": picture.alt}
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    # A file of 50 kB grows by a tenth, in a third of the time.
-    quick = {"pil_kwargs": {"compress_level": 3}}
-    for path, metadata, options in ((png, about, quick), (svg, {**about, "Date": None}, {})):
-        with create(path) as file:
-            picture.figure.savefig(file, format=path.suffix[1:], dpi=200, metadata=metadata, **options)
+    with create(png) as file:
+        # A level of compression whose files are a tenth larger, in a third of the time.
+        picture.figure.savefig(file, format="png", dpi=200, metadata=about, pil_kwargs={"compress_level": 3})
+    with create(svg) as file:
+        picture.figure.savefig(file, format="svg", dpi=200, metadata={**about, "Date": None})
     return png, svg
 
 
