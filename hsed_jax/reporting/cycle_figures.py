@@ -59,7 +59,9 @@ def cycles(comparison: Comparison, campaign: Campaign, before: Comparison | None
         row = panels[3 * number : 3 * number + 3]
         read = _read(models, split, id, owner, campaign)
         _draw(row, read, pair)
-        row[0].set_title(style.plain(f"{id} ({split})" + (f", {owner}" if owner else ""), 30), loc="right")
+        # Short enough beside the letter of the panel.
+        name = style.plain(id, 10 if owner else 16)
+        row[0].set_title(f"{name} ({split})" + (f", {style.plain(owner, 8)}" if owner else ""), loc="right")
         measured, ours = read["measured"], list(read.values())[-1]
         said.append(
             f"{id}: {measured.energy.size} cycles, energy {_of(measured.energy.sum(), pair.energy_unit)} measured, "
