@@ -92,10 +92,13 @@ class Measured(NamedTuple):
         return np.maximum(found, 1e-9)
 
     def surprise(self, predicted: np.ndarray, standard: "Standard", parameters: int) -> float:
-        """Minus the log density of the measurements beside predictions with errors of their own [nats], up to a constant.
+        r"""Minus the log density of the measurements beside predictions with errors of their own [nats], up to a constant:
 
-        The error of an output is what the predictions leave, or the declared one where that is larger.  Fitted parameters take
-        as many samples away, which tell nothing of the errors (restricted likelihood, Patterson & Thompson 1971).
+        $$\sum_o n_o\Big(\big(1 - \tfrac pn\big)\log s_o + \tfrac12\,\hat s_o^2/s_o^2\Big),$$
+
+        with $\hat s_o$ what the predictions leave of output o, $s_o$ that or the declared error, whichever is larger, $n_o$ what
+        its samples are worth, n their sum, and p the number of fitted parameters: these take as many samples away, which tell
+        nothing of the errors (restricted likelihood, Patterson & Thompson 1971).
 
         Arguments:
             predicted: (n, J).

@@ -9,12 +9,7 @@ candidates does not invent physics.
 **How wrong a model may be is learned, not assumed.**  A real specimen follows no textbook formula.  All models of a round are
 therefore judged with the errors that the best of them leaves: the error of an output is the declared one or that model's
 residual, whichever is larger, and samples of a correlated residual count for what they are worth
-(`hsed_jax.inference.correlation`).  Where the noise is all there is, both are as declared.  The best model has the least
-
-$$\sum_o n_o\Big(\frac{n-p}{n}\log s_o + \tfrac12\frac{\hat s_o^2}{s_o^2}\Big) - \log p(x) - \log P(M),$$
-
-with $\hat s_o$ the residual that it leaves of output o itself, $s_o$ the larger of that and the declared error, $n_o$ what the
-samples of the output are worth, n their sum, and p the number of its parameters.
+(`hsed_jax.inference.correlation`).  The best is the most probable one where each has errors of its own (`Measured.surprise`).
 """
 
 import math
@@ -119,12 +114,10 @@ class Search:
                 self._fit_pairs()
                 self._deepen([*around, *self._pairs])
             self._judge()
-            self._look_again()
             if not self.best and self.measured.is_far_above_noise(self._lowest().predicted):
                 self._report("every effect beside any law")
                 self._fits.look_all_over(self.target)
                 self._judge()
-                self._look_again()
             self._score()
             self.on_round()
             before, self.best = self.best, self._next()
@@ -136,7 +129,6 @@ class Search:
             self.best = self._smallest_that_predicts()
         if self.best != before:
             self._judge()
-            self._look_again()
         self._score(is_over=True)
 
     def adopt(self, coarse: "Search") -> None:
@@ -147,7 +139,7 @@ class Search:
         choices = {coarse._fits.top(s): [coarse._fits.best(s).x] for s in sets if s}
         self._fits.fit(self.target, choices, choices)
         self.best, self.path = best, coarse.path
-        self._judge()
+        self._judge(anew=False)
         self._score(is_over=True)
 
     def model(self, effects: Iterable[str]) -> Model:
@@ -251,9 +243,7 @@ class Search:
             if len(ends) > len(starts):
                 self.missed = ends[-1].cost - fit.cost
             if not np.isfinite(fit.cost):
-                raise UserError(
-                    "the model's simulation diverges wherever a fit was started; check parameters and priors"
-                )
+                raise UserError("the model diverges wherever a fit was started; check parameters and priors")
             self._judge_by(fit)
             tasks = [Task(submodel, fit.x)]
         assert fit is not None
@@ -312,17 +302,14 @@ class Search:
                     choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
             self._fits.fit(self.target, dict.fromkeys(choices))
 
-    def _judge(self) -> None:
-        """Take the errors from the best fit of the round, and judge all again with them."""
+    def _judge(self, anew: bool = True) -> None:
+        """Judge all with the errors of the best fit, and fit those that rank first `anew`, from all over their priors."""
         around = self._around()
         for _ in range(2):
             self._judge_by(self._lowest())
             self._fits.judge(self.target, around)
-
-    def _look_again(self) -> None:
-        """Fit the sets that rank first from all over their priors, with the errors of the round."""
-        if self.best or self.is_open():
-            ranked = sorted(map(self.model, self._around()), key=lambda m: -m.log_posterior)
+        if anew and (self.best or self.is_open()):
+            ranked = sorted(map(self.model, around), key=lambda m: -m.log_posterior)
             first = [m.effects for m in ranked if m.effects][:_AGAIN]
             self._fits.look_again(self.target, [self._fits.top(s) for s in first])
 
@@ -387,15 +374,13 @@ class Search:
 
     def _lowest(self) -> FitState:
         """The best fit of the round, each with the errors that it leaves itself, and with what a set's size costs."""
-
         standard = Standard(self.errors, self.worth, self.target)
 
         def cost(effects: Set) -> float:
-            fit = self._fits.best(effects)
-            if not np.isfinite(fit.cost):
-                return math.inf
-            log_density = self.models.box.log_density(fit.x[None], fit.free).sum() + self._log_prior(len(effects))
-            return self.measured.surprise(fit.predicted, standard, len(fit.free)) - float(log_density)
+            fit, log_prior = self._fits.best(effects), self._log_prior(len(effects))
+            log_prior += float(self.models.box.log_density(fit.x[None], fit.free).sum())
+            surprise = self.measured.surprise(fit.predicted, standard, len(fit.free))
+            return surprise - log_prior if np.isfinite(fit.cost) else math.inf
 
         return self._fits.best(min(self._around(), key=cost))
 
