@@ -244,13 +244,23 @@ def improve(
             notes.append(
                 "the calibration of the first model had not reached the best fit, so it was repeated from there"
             )
+    places = [problem.effects[name][forms[name]] for name in effects]
+
+    def with_first(count: int) -> Submodel:
+        added = places[:count]
+        free = np.concatenate([problem.law, *(form.columns for form in added)]).astype(int)
+        return models.submodel(free, {k: value for form in added for k, value in form.held.items()})
+
+    if start is not None:
+        # With the errors that the first model leaves, none of the others would follow the data as closely as it can.
+        found_there, ok = models.predict(
+            [(_point(problem, start), with_first(len(effects)))], np.arange(len(train.values))
+        )
+        target = train.standard(found_there[0], train.used[None]).target if ok.all() else target
     steps, fit = [step_of([], before, calibration.map)], plain
     for count in range(1, len(effects) + 1):
-        added = [problem.effects[name][forms[name]] for name in effects[:count]]
-        free = np.concatenate([problem.law, *(form.columns for form in added)]).astype(int)
-        submodel = models.submodel(free, {k: value for form in added for k, value in form.held.items()})
-        whole = count == len(effects) and start is not None
-        fit = _best(problem, target, submodel, added[-1].columns, fit.x, start if whole else None)
+        known_there = start if count == len(effects) else None
+        fit = _best(problem, target, with_first(count), places[count - 1].columns, fit.x, known_there)
         steps.append(_between(problem, fit, effects[:count]))
     built = Built(study, calibration.built.campaign)
     # An improvement reports its error.  Chains of a model with so many parameters take minutes: the study that is
@@ -288,15 +298,18 @@ def _best(
     models, columns = problem.models, np.asarray(new, dtype=int)
     tasks = [Task(submodel, x)]
     if known is not None:
-        tasks.append(
-            Task(submodel, models.point({name: value for name, value in known.items() if name in problem.names}))
-        )
+        tasks.append(Task(submodel, _point(problem, known)))
     if columns.size:
         starts = np.tile(x, (8, 1))
         shares = 0.1 + 0.8 * (np.arange(8)[:, None] * (0.5 + np.sqrt(np.arange(columns.size) + 2.0)) % 1.0)
         starts[:, columns] = models.box.quantiles(columns, shares)
         tasks += [Task(submodel, spread, rivals=0) for spread in starts]
     return min(models.fit(target, tasks), key=lambda f: f.cost)
+
+
+def _point(problem: Problem, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
+    """The point of known parameters, by name; what the problem does not have is left out."""
+    return problem.models.point({name: value for name, value in known.items() if name in problem.names})
 
 
 def _parameters(problem: Problem, fit: FitState, built: Built) -> Array:
