@@ -510,6 +510,21 @@ def test_what_was_thrown_against_a_bound_comes_back():
     assert np.asarray(found.theta) == pytest.approx([2.0, 0.2], rel=1e-3)
 
 
+def test_a_known_start_is_not_left_for_the_middle_of_the_prior_because_the_error_starts_large():
+    # An oscillation has a mode near each of many frequencies. With an error of its prior's size, a thousand times too large, the
+    # prior alone decides on the first steps.
+    def respond(theta, conditions):
+        return jnp.cos(theta[0] * conditions.inputs["x"])[None], True
+
+    times = np.linspace(0.1, 4.0, 30)
+    noise = 0.02 * np.random.default_rng(2).standard_normal(30)
+    posterior = posterior_of(respond, {"w": Prior("normal", [2.0, 0.5])}, [Prior("lognormal", [3.0, 2.0])])
+    data = measured_at(times, (np.cos(6.0 * times) + noise)[:, None])
+    found = fit(posterior, data, starts=1, settings=Settings(2, 10, 20, sampler="importance"), key=jax.random.key(0),
+                units={"w": "rad/s"}, start=jnp.asarray([6.05]))  # fmt: skip
+    assert found.map["w"] == pytest.approx(6.0, abs=0.01) and found.map["error.y0"] == pytest.approx(0.02, rel=0.3)
+
+
 # --- whether to believe the draws --------------------------------------------------------------------------------
 
 

@@ -17,7 +17,14 @@ from hsed_jax.inference.expansion import expand
 from hsed_jax.inference.leaning import Leaning, Range, caution, leaning
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum
-from hsed_jax.inference.most_probable import against_declared, left_unexplained, most_probable, noise_left, read_back
+from hsed_jax.inference.most_probable import (
+    against_declared,
+    known_start,
+    left_unexplained,
+    most_probable,
+    noise_left,
+    read_back,
+)
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence, statistics_of, summarise
 from hsed_jax.inference.population import Varying
 from hsed_jax.inference.posterior import Posterior
@@ -240,8 +247,7 @@ def fit(
     """
     watch, points = watch or Watch(), posterior.starts(starts)
     if start is not None:
-        middle = posterior.constrain(points[0])
-        points = points.at[0].set(posterior.unconstrain(middle.at[: start.size].set(start)))
+        points = points.at[0].set(known_start(posterior, data, start))
     declared, said = posterior, [f"{error.correlated} {error.inflate} {error.discrepancy}" for error in errors]
     name = f"maximum-{fingerprint(posterior.names, eqx.filter(posterior, eqx.is_array), data, points, said, support)}"
     if (kept := watch.recall(name)) is not None:

@@ -48,6 +48,27 @@ def read_back(
     return posterior, data, best._replace(others=tuple(others)), process
 
 
+def known_start(posterior: Posterior, data: Data, start: Float[Array, " q"]) -> Float[Array, " p"]:
+    """The starting point at known parameters of the model: its inferred errors are the RMS of what these leave.
+
+    With larger errors the prior would move the first steps away from there, into the basin of another mode.
+
+    Arguments:
+        posterior: with the declared errors.
+        data: measured outputs.
+        start: parameters of the model (SI).
+    """
+    theta = posterior.constrain(posterior.starts(1)[0]).at[: start.size].set(start)
+    u = posterior.unconstrain(theta)
+    (there,) = expand(posterior, data, [np.asarray(u)])
+    standardised = np.asarray(against_declared(posterior, data, posterior, u, there.predicted, there.ok))
+    for output, place in posterior.inferred:
+        own = (np.asarray(data.weights) > 0) & (posterior.groups == output) & (np.asarray(there.ok) > 0)[:, None]
+        if own.any():
+            theta = theta.at[place].multiply(float(np.sqrt(np.mean(standardised[own] ** 2))))
+    return posterior.unconstrain(theta)
+
+
 def most_probable(
     posterior: Posterior,
     data: Data,

@@ -53,6 +53,7 @@ class Posterior(eqx.Module):
 
     Attributes:
         declared: sizes of the errors, one where it is inferred, (G,).
+        inferred: of each inferred error the number of its output, and its place in θ.
         population: the parameters that vary between specimens.
     """
 
@@ -64,7 +65,7 @@ class Posterior(eqx.Module):
     _columns: tuple[int, ...] = eqx.field(static=True)
     _relative: tuple[bool, ...] = eqx.field(static=True)
     _of_measured: tuple[bool, ...] = eqx.field(static=True)
-    _inferred: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    inferred: tuple[tuple[int, int], ...] = eqx.field(static=True)
     declared: Float[Array, " outputs"]
     population: Population
 
@@ -88,8 +89,7 @@ class Posterior(eqx.Module):
         self._relative = tuple(error.is_relative for error in errors)
         self._of_measured = tuple(error.of_measured for error in errors)
         self.declared = jax.device_put(np.asarray([1.0 if isinstance(s, Prior) else s for s in sizes], dtype=float))
-        # Number of an output, and the place of its error in θ.
-        self._inferred = tuple(
+        self.inferred = tuple(
             (i, self.names.index(f"error.{name}")) for i, name in enumerate(self.outputs) if isinstance(sizes[i], Prior)
         )
 
@@ -116,7 +116,7 @@ class Posterior(eqx.Module):
     @property
     def is_declared(self) -> np.ndarray:
         """Whether the size of the error is declared, for each output."""
-        return ~np.isin(np.arange(len(self.outputs)), [output for output, _ in self._inferred])
+        return ~np.isin(np.arange(len(self.outputs)), [output for output, _ in self.inferred])
 
     def inflated(self, factors: np.ndarray) -> "Posterior":
         """The same with the declared errors larger by these factors, one per output."""
@@ -173,7 +173,7 @@ class Posterior(eqx.Module):
     def errors(self, theta: Float[Array, " p"]) -> Float[Array, " J"]:
         """s of every column: declared or taken from θ."""
         by_output = self.declared
-        for output, position in self._inferred:
+        for output, position in self.inferred:
             by_output = by_output.at[output].set(theta[position])
         return by_output[self.groups]
 
