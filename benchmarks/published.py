@@ -16,7 +16,7 @@ from typing import Any
 from board.comparisons import compared
 from board.own_run import finished_run, own_run
 from board.page import page, picture_of_errors
-from board.records import DATA, Specimen, specimens
+from board.records import DATA, QUESTIONS, Specimen, specimens
 from board.table import markdown
 
 import hsed_jax as hx
@@ -33,7 +33,10 @@ def main() -> None:
     parser.add_argument("cases", nargs="*", metavar="CASE", help="names of records (default: all)")
     parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER", help="holds the data sets")
     parser.add_argument("--files", nargs="+", type=Path, metavar="FILE", help="raw files in place of the data sets")
-    parser.add_argument("--only", choices=PARTS, help="the other methods alone, or the program's own run alone")
+    parser.add_argument("--only", choices=PARTS, help="the other methods alone, or the program's own runs alone")
+    parser.add_argument(
+        "--question", choices=QUESTIONS, help="that the program's own runs answer (default: both, one after the other)"
+    )
     parser.add_argument(
         "--seconds",
         type=float,
@@ -71,9 +74,9 @@ def main() -> None:
     if unknown := set(options.cases) - {one.name for one in chosen}:
         parser.error(f"there is no record {sorted(unknown)[0]!r} in {options.data}")
     wanted = [one for one in chosen if not options.cases or one.name in options.cases]
-    measure(
-        wanted, options.output, (options.only,) if options.only else PARTS, options.resume, overrides, options.seconds
-    )
+    parts = (options.only,) if options.only else PARTS
+    questions = (options.question,) if options.question else QUESTIONS
+    measure(wanted, options.output, parts, questions, options.resume, overrides, options.seconds)
     print(markdown(read(options.output)))
 
 
@@ -81,6 +84,7 @@ def measure(
     wanted: Sequence[Specimen],
     output: Path,
     parts: Sequence[str],
+    questions: Sequence[str],
     resume: bool,
     overrides: Sequence[str],
     limit: float | None,
@@ -91,6 +95,7 @@ def measure(
         wanted: the specimens.
         output: the file, a line of JSON for each specimen; lines of other specimens stay as they are.
         parts: of `PARTS`.
+        questions: that the program's own runs answer; the other methods answer all.
         resume: whether a part that is there stays as it is.
         overrides, limit: of `own_run`.
     """
@@ -99,14 +104,17 @@ def measure(
     rows = {row["case"]: row for row in read(output)}
     for one in wanted:
         row = rows.setdefault(one.name, {"case": one.name, "set": one.group})
-        if resume and all(part in row or "refused" in row for part in parts):
+        own = row.get("own", {})
+        left = [q for q in questions if not (resume and q in own)] if "own" in parts else []
+        is_compared = "comparisons" in row or "comparisons" not in parts
+        if resume and ("refused" in row or (is_compared and not left)):
             continue
         try:
             row.pop("refused", None)
             if "comparisons" in parts:
                 row["comparisons"] = compared(one, row.get("comparisons", {}) if resume else {})
-            if "own" in parts and not (resume and "own" in row):
-                row["own"] = own_run(one, overrides, limit)
+            for question in left:
+                row["own"] = own = {**own, question: own_run(one, question, overrides, limit)}
         except hx.UserError as refusal:
             row["refused"] = str(refusal).replace(str(one.source), one.source.name)
         print(one.name, row.get("refused", "done"), file=sys.stderr, flush=True)
@@ -114,15 +122,15 @@ def measure(
 
 
 def take(folders: Sequence[Path], output: Path) -> None:
-    """Put the finished runs of some folders into the rows that are there, in place of older ones."""
-    rows = read(output)
+    """Put the finished runs of some folders, which answer the first question, into the rows that are there, in place of older
+    ones."""
+    rows, question = read(output), QUESTIONS[0]
     for row in rows:
-        if (found := finished_run(folders, row["case"])) is not None and found["ended"] > row.get("own", {}).get(
-            "ended", ""
-        ):
-            row["own"] = found
+        own, found = row.get("own", {}), finished_run(folders, row["case"])
+        if found is not None and found["ended"] > own.get(question, {}).get("ended", ""):
+            row["own"] = {**own, question: found}
     write(rows, output)
-    print(f"{sum('own' in row for row in rows)} of {len(rows)} rows have a run of the program")
+    print(f"{sum(question in row.get('own', {}) for row in rows)} of {len(rows)} rows have a run of the program")
 
 
 def read(output: Path) -> list[dict[str, Any]]:

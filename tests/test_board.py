@@ -126,6 +126,17 @@ def test_every_third_cycle_is_that_of_the_phase():
     assert np.array_equal(test.fitted, ~test.held)
 
 
+def test_the_program_fits_the_same_rows_as_the_other_methods():
+    whole = campaign()
+    (test,) = records.tests_of(whole, "every third cycle")
+    masks = {"train": np.zeros(240, bool), "test": np.zeros(240, bool)}
+    parts = records.windowed(whole)
+    for part in parts:
+        masks[part.split] |= part.in_window
+    assert np.array_equal(masks["train"], test.fitted) and np.array_equal(masks["test"], test.held)
+    assert len(parts) == 4 and len({part.id for part in parts}) == 4
+
+
 def test_two_cycles_leave_nothing_to_judge():
     with pytest.raises(hx.UserError, match="leaves no row that is held"):
         records.tests_of(campaign(240, 2), "every third cycle")
@@ -142,7 +153,12 @@ def test_a_long_record_is_thinned_and_keeps_its_split():
 
 def row(case, held, own=None):
     found = {name: {"fitted": 0.0, "held": value, "seconds": 1.0} for name, value in zip(METHODS, held, strict=True)}
-    return {"case": case, "set": "s", "comparisons": {"last rows": found}, **({"own": own} if own else {})}
+    return {
+        "case": case,
+        "set": "s",
+        "comparisons": {"last rows": found},
+        **({"own": {"last rows": own}} if own else {}),
+    }
 
 
 OWN = {"plain": 0.9, "named": 0.05, "noise": 0.01, "verdict": "missing_effects", "effects": ["slip"], "forms": {}, "seconds": 60,
@@ -175,12 +191,14 @@ def test_results_are_kept_by_record_and_resumed(tmp_path, monkeypatch):
     monkeypatch.setattr(published, "own_run", lambda *_: {"failed": "no end after 5 s"})
     ones = [records.Specimen(tmp_path / f"{name}.csv", "s") for name in "ab"]
     output = tmp_path / "board.jsonl"
-    published.measure(ones[:1], output, ["comparisons"], False, (), None)
-    published.measure(ones, output, published.PARTS, True, (), None)
+    published.measure(ones[:1], output, ["comparisons"], records.QUESTIONS, False, (), None)
+    published.measure(ones, output, published.PARTS, records.QUESTIONS[:1], True, (), None)
     assert [name for name, _ in asked] == ["a", "a", "b"]
-    assert [row["own"] for row in published.read(output)] == [{"failed": "no end after 5 s"}] * 2
-    published.measure(ones, output, published.PARTS, True, (), None)
+    assert [row["own"] for row in published.read(output)] == [{"last rows": {"failed": "no end after 5 s"}}] * 2
+    published.measure(ones, output, published.PARTS, records.QUESTIONS[:1], True, (), None)
     assert len(asked) == 3
+    published.measure(ones, output, ["own"], records.QUESTIONS, True, (), None)
+    assert len(asked) == 3 and [list(row["own"]) for row in published.read(output)] == [[*records.QUESTIONS]] * 2
 
 
 def test_the_page_is_that_of_the_results():

@@ -1,8 +1,10 @@
 """The program's own run of a record: the raw file in, every default kept, a time limit, and what it says of the held-out rows.
 
-`hsed init` writes the study and `hsed run` does the rest, each in a process of its own, as a user starts them. The errors of the
-run's summary are over the RMS of the force about its mean. Here they are over the RMS of the measured force, as the errors of all
-methods of the board: one factor, from the held-out rows of the run itself, turns one into the other.
+`hsed init` writes the study and `hsed run` does the rest, each in a process of its own, as a user starts them. Only the question
+of every third cycle needs a campaign folder in place of the raw file: its experiments are windows of the record.
+
+The errors of the run's summary are over the RMS of the force about its mean. Here they are over the RMS of the measured force, as
+the errors of all methods of the board: one factor, from the held-out rows of the run itself, turns one into the other.
 """
 
 import json
@@ -17,17 +19,20 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from board.records import Specimen
+from board.records import QUESTIONS, Specimen, windowed
+
+import hsed_jax as hx
 
 _DRAWN = 150
 """So many held-out rows of the prediction are kept for the picture."""
 
 
-def own_run(specimen: Specimen, overrides: Sequence[str], limit: float | None) -> dict[str, Any]:
+def own_run(specimen: Specimen, question: str, overrides: Sequence[str], limit: float | None) -> dict[str, Any]:
     """Run the program on a record.
 
     Arguments:
         specimen: the record.
+        question: of `QUESTIONS`.
         overrides: settings of the run, `KEY=VALUE`; none for the defaults.
         limit: seconds after which the run is given up; None: never.
 
@@ -39,15 +44,20 @@ def own_run(specimen: Specimen, overrides: Sequence[str], limit: float | None) -
     with tempfile.TemporaryDirectory() as place:
         work = Path(place) / specimen.name
         try:
-            if specimen.source.is_dir():
-                shutil.copytree(specimen.source, work)
-                _hsed("init", work, "--output", work / "study.yaml")
-            else:
+            if question == QUESTIONS[0] and not specimen.source.is_dir():
                 _hsed("init", shutil.copy(specimen.source, place), *specimen.words)
+            else:
+                if question == QUESTIONS[0]:
+                    shutil.copytree(specimen.source, work)
+                else:
+                    hx.write_campaign(windowed(specimen.campaign()), work)
+                _hsed("init", work, "--output", work / "study.yaml")
             begin = _children()
             _hsed("run", work / "study.yaml", *overrides, "--output", work / "run", limit=limit)
         except subprocess.TimeoutExpired:
             return {"failed": f"no end after {limit:.0f} s"}
+        except hx.UserError as refusal:
+            return {"failed": str(refusal)}
         except subprocess.CalledProcessError as failure:
             return {"failed": failure.stderr.strip().splitlines()[-1].replace(f"{place}/", "")}
         return {**_outcome(work / "run"), "seconds": round(_children() - begin)}

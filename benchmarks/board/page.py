@@ -53,8 +53,8 @@ def page(rows: Rows, records: Sequence[Specimen], folder: Path) -> None:
 def text(rows: Rows) -> str:
     """The page."""
     rows = sorted(rows, key=lambda row: (row["set"], row["case"]))
-    run = [row for row in rows if "own" in row and "failed" not in row["own"]]
-    said = [(row["case"].replace("_", " "), row["own"]) for row in run]
+    answers = [(row["case"], row.get("own", {}).get(QUESTIONS[0], {"failed": ""})) for row in rows]
+    said = [(case.replace("_", " "), own) for case, own in answers if "failed" not in own]
     sentences = "\n".join(
         f"- **{case}**: `{own['verdict']}`; {own['behaviour'] or 'no behaviour is stated'}." for case, own in said
     )
@@ -85,7 +85,7 @@ force of zero. A record of more than {MOST_ROWS} rows is thinned ([long records]
 
 Two questions are asked. The *last rows* are the last third of a file, or what a campaign declares. In most tests they hold the
 largest cycles, so this question is an extrapolation. *Every third cycle* leaves out cycles 3, 6, 9, ... and fits the others, so
-this question is an interpolation. hsed_jax answers the first question only.
+this question is an interpolation. To hsed_jax these cycles are test experiments, windows of the record.
 
 Seconds are CPU seconds. Those of hsed_jax are of the whole run, from the raw file's study to its report. The runs of
 hsed_jax ended {" to ".join(sorted({min(days), max(days)})) if days else "never"}.
@@ -196,7 +196,7 @@ def _loops(axes: Axes, tests: Sequence[Test], row: Mapping[str, Any]) -> None:
         for which, colour, width in (("fitted", "0.7", 0.4), ("held", "k", 0.5)):
             rows = getattr(test, which)
             axes.plot(np.where(rows, test.elongation, np.nan), test.force, color=colour, linewidth=width)
-    own = row.get("own", {})
+    own = row.get("own", {}).get(QUESTIONS[0], {})
     if "loop" in own:
         axes.plot(*own["loop"], color="C0", linewidth=0.5)
     known = errors(row)

@@ -121,6 +121,15 @@ def tests_of(campaign: hx.Campaign, question: str) -> list[Test]:
     Raises:
         UserError: a question leaves nothing to fit or nothing to judge.
     """
+    found = [_ROWS[question](group) for group in _shared(campaign)]
+    for what in ("fitted", "held"):
+        if not any(getattr(test, what).any() for test in found):
+            raise hx.UserError(f"{campaign.name}: '{question}' leaves no row that is {what}")
+    return found
+
+
+def _shared(campaign: hx.Campaign) -> list[list[hx.Experiment]]:
+    """The completed experiments, those of one record together."""
     shared: list[list[hx.Experiment]] = []
     for experiment in campaign:
         if experiment.record is None or experiment.status != "completed":
@@ -130,11 +139,7 @@ def tests_of(campaign: hx.Campaign, question: str) -> list[Test]:
             shared.append([experiment])
         else:
             same.append(experiment)
-    found = [_ROWS[question](group) for group in shared]
-    for what in ("fitted", "held"):
-        if not any(getattr(test, what).any() for test in found):
-            raise hx.UserError(f"{campaign.name}: '{question}' leaves no row that is {what}")
-    return found
+    return shared
 
 
 def _last_rows(group: Sequence[hx.Experiment]) -> Test:
@@ -167,6 +172,22 @@ def _thin(experiment: hx.Experiment) -> hx.Record:
 _ROWS: dict[str, Callable[[Sequence[hx.Experiment]], Test]] = dict(
     zip(QUESTIONS, (_last_rows, _every_third_cycle), strict=True)
 )
+
+
+def windowed(campaign: hx.Campaign) -> hx.Campaign:
+    """A campaign whose fitted experiments are the windows between the cycles that `every third cycle` leaves out.
+
+    Raises:
+        UserError: as `tests_of`.
+    """
+    parts: list[hx.Experiment] = []
+    for group, test in zip(_shared(campaign), tests_of(campaign, QUESTIONS[1]), strict=True):
+        record = _thin(group[0])
+        for rows in np.split(np.arange(len(record)), np.flatnonzero(np.diff(test.held)) + 1):
+            begin, end = (float(record.time[row]) for row in rows[[0, -1]])
+            name, split = f"{group[0].id}_{len(parts) + 1:03d}", "test" if test.held[rows[0]] else "train"
+            parts.append(replace(group[0], id=name, record=record, window=(begin, end), split=split))
+    return replace(campaign, experiments=tuple(parts))
 
 
 def scales_of(tests: Sequence[Test]) -> tuple[float, float]:

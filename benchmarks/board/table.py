@@ -1,6 +1,6 @@
 """The tables of the board: a summary of every method, a line for each record, and what was refused.
 
-A row of the results holds `case`, `set`, and what was measured: `comparisons` by question and method, `own` of the program, or
+A row of the results holds `case`, `set`, and what was measured: `comparisons` by question and method, `own` by question, or
 `refused`, the sentence with which the program refuses the record.
 """
 
@@ -18,8 +18,8 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def errors(row: Mapping[str, Any], question: str = QUESTIONS[0]) -> dict[str, float]:
-    """Errors of the rows that were not fitted, by the title of the method; the program was asked the first question alone."""
-    own = row.get("own", {}) if question == QUESTIONS[0] else {}
+    """Errors of the rows that were not fitted, by the title of the method."""
+    own = row.get("own", {}).get(question, {})
     program = {title: own[key] for key, title in OWN.items() if key in own}
     return program | {
         name: found["held"]
@@ -28,9 +28,9 @@ def errors(row: Mapping[str, Any], question: str = QUESTIONS[0]) -> dict[str, fl
     }
 
 
-def by_all(rows: Rows) -> Rows:
+def by_all(rows: Rows, question: str = QUESTIONS[0]) -> Rows:
     """The rows of which every method and the program have an error."""
-    return [row for row in rows if len(errors(row)) == len(METHODS) + len(OWN)]
+    return [row for row in rows if len(errors(row, question)) == len(METHODS) + len(OWN)]
 
 
 def summary(rows: Rows, question: str) -> str:
@@ -56,19 +56,18 @@ def summary(rows: Rows, question: str) -> str:
 
 def markdown(rows: Rows) -> str:
     """The summaries of both questions, of the records that the program has run and of all."""
-    parts = [
-        f"The last rows, {len(by_all(rows))} records that every method has run:\n\n{summary(by_all(rows), QUESTIONS[0])}"
-        if by_all(rows)
-        else ""
-    ]
+    parts: list[str] = []
     for question in QUESTIONS:
+        if own := by_all(rows, question):
+            count = f"{len(own)} records that every method has run"
+            parts.append(f"{question.capitalize()}, {count}:\n\n{summary(own, question)}")
         others = [{**row, "own": {}} for row in rows]
         count = sum(bool(errors(row, question)) for row in others)
-        if count:
+        if count > len(own):
             parts.append(
                 f"{question.capitalize()}, the other methods alone, {count} records:\n\n{summary(others, question)}"
             )
-    return "\n\n".join(part for part in parts if part)
+    return "\n\n".join(parts)
 
 
 def record_table(rows: Rows) -> str:
@@ -77,7 +76,7 @@ def record_table(rows: Rows) -> str:
     heads = ["record", *titles, "named", "verdict", "s"]
     lines = [heads, ["---"] * len(heads)]
     for row in rows:
-        known, own = errors(row), row.get("own", {})
+        known, own = errors(row), row.get("own", {}).get(QUESTIONS[0], {})
         if not known:
             continue
         least = min(known, key=lambda name: known[name])
@@ -93,13 +92,14 @@ def record_table(rows: Rows) -> str:
 
 def cycle_table(rows: Rows) -> str:
     """A line for each record: errors of the cycles that were left out, by method."""
-    heads = ["record", *METHODS]
+    titles = [*OWN.values(), *METHODS]
+    heads = ["record", *titles]
     lines = [heads, ["---"] * len(heads)]
     for row in rows:
         known = errors(row, QUESTIONS[1])
         if known:
             least = min(known, key=lambda name: known[name])
-            cells = [f"**{cell(known[name])}**" if name == least else cell(known.get(name)) for name in METHODS]
+            cells = [f"**{cell(known[name])}**" if name == least else cell(known.get(name)) for name in titles]
             lines.append([row["case"].replace("_", " "), *cells])
     return _table(lines)
 
@@ -121,7 +121,7 @@ def cell(value: float | None) -> str:
 
 def _seconds(row: Mapping[str, Any], question: str, name: str) -> float | None:
     if name == OWN["named"]:
-        return row.get("own", {}).get("seconds")
+        return row.get("own", {}).get(question, {}).get("seconds")
     if name in OWN.values():
         return None
     return row.get("comparisons", {}).get(question, {}).get(name, {}).get("seconds")
