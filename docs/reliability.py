@@ -77,7 +77,7 @@ def page() -> Iterator[str]:
     yield "\n`python benchmarks/discoveries.py`."
     yield MEASURED
     heads = ("specimen", "noise", "plain law", "with the named effects", "verdict")
-    yield from _table(heads, [_specimen(row) for row in _board() if "named" in row.get("own", {})])
+    yield from _table(heads, [_specimen(row["case"], own) for row in _board() if "named" in (own := _last_rows(row))])
     yield "\n`python benchmarks/published.py`."
 
 
@@ -150,10 +150,14 @@ def _discoveries(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]
         yield group, str(len(own)), str(len(wrong)), _share(own, lambda row, wrong=wrong: row in wrong)
 
 
-def _specimen(row: Mapping[str, Any]) -> tuple[str, ...]:
-    own = row["own"]
+def _last_rows(row: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The run of the program that predicts the last rows of a record; empty without one."""
+    return row.get("own", {}).get("last rows", {})
+
+
+def _specimen(case: str, own: Mapping[str, Any]) -> tuple[str, ...]:
     errors = (f"{own[key]:.3f}" for key in ("noise", "plain", "named"))
-    return row["case"].replace("_", " "), *errors, f"`{own['verdict']}`"
+    return case.replace("_", " "), *errors, f"`{own['verdict']}`"
 
 
 def _share(rows: Sequence[Any], is_one: Callable[[Any], bool]) -> str:

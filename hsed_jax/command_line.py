@@ -131,7 +131,7 @@ def _add_run(parser: argparse.ArgumentParser, takes_files: bool = False) -> None
 
 
 def _add_ask_and_tell(commands: Any) -> None:
-    text = "ask for the next experiments, to be performed by hand"
+    text = "ask for the next experiments of a design, or for the loading that a diagnosis proposes, to be performed by hand"
     ask = commands.add_parser("ask", help=text, description=text.capitalize() + ".")
     _add_design(ask)
     ask.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="override a key by its dotted path")
@@ -258,6 +258,11 @@ def _opened(options: Any) -> "AskTell":
 
 @ended_in_time()
 def _ask(options: Any) -> int:
+    from hsed_jax.runs.proposed_loading import ask_loading, has_no_design
+
+    if has_no_design(options.study):
+        print(ask_loading(options.study))
+        return 0
     with _opened(options) as design:
         for asked in [design.ask_again(options.again)] if options.again else design.ask(options.count):
             print(design.told(asked))

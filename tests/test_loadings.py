@@ -1,5 +1,6 @@
 """The loading that separates explanations: what it may ask of a specimen, and that it separates two that one test does not."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -8,12 +9,16 @@ import pytest
 from builders.diagnoses import candidate, diagnosis
 from builders.springs import spring_study
 
+import hsed_jax as hx
 from hsed_jax.behaviour.histories import Range
+from hsed_jax.command_line import main
 from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import _started
 from hsed_jax.diagnosis.loadings import _sequences, next_loading
 from hsed_jax.diagnosis.probing import Probe
-from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record
+from hsed_jax.measurements import Campaign, Channel, Experiment, Noise, Record, write_campaign
+from hsed_jax.plain import dump_yaml
+from hsed_jax.runs.proposed_loading import FILE, ask_loading, history
 from hsed_jax.study.build import Built
 
 STIFFNESS, YIELD, NOISE = 2.0e7, 5e-3, 3e3
@@ -109,3 +114,43 @@ def test_the_loading_is_in_the_summary_and_among_the_notes(once):
     found = replace(without, next_loading=loading)
     assert found.summary()["next_loading"] == loading.summary() and loading.sentence in found.summary()["notes"]
     assert "next_loading" not in without.summary()
+
+
+def test_a_command_passes_the_reversals_at_the_rate():
+    reversals = [0.0, 0.02, -0.02, 0.01, -0.01]
+    time, elongation = history(reversals, 0.005)
+    assert time is not None
+    np.testing.assert_allclose(np.abs(np.diff(elongation) / np.diff(time)), 0.005)
+    turns = [0, *(np.flatnonzero(np.diff(np.sign(np.diff(elongation)))) + 1), len(elongation) - 1]
+    np.testing.assert_allclose(elongation[turns], reversals, atol=1e-15)
+    assert history(reversals, None)[0] is None
+
+
+@pytest.mark.parametrize("rate", [None, 0.005])
+def test_a_laboratory_gets_a_file_that_it_returns_with_its_force(tmp_path, rate):
+    whole = campaign_of(softening(growing(), 0.01, 0.0))
+    in_mm = replace(whole, channels={**whole.channels, "elongation": Channel("elongation", "mm")})
+    write_campaign(in_mm, tmp_path / "campaign")
+    loading = {
+        "name": "cycles",
+        "reversals": [0.02, -0.02, 0.01],
+        "rate": rate,
+        "expected_log_bayes_factor": 9.0,
+        "repeated": 2.0,
+    }
+    found = {"study": "wall", "status": "complete", "diagnosis": {"next_loading": loading}}
+    (tmp_path / "summary.json").write_text(json.dumps(found), encoding="utf-8")
+    said = ask_loading(tmp_path)
+    assert "at most 20 mm" in said and ("18 s" in said) == (rate is not None)
+    command, file = (tmp_path / FILE).read_text(encoding="utf-8").splitlines(), tmp_path / "wall_2.csv"
+    file.write_text("\n".join([f"{command[0]},force [kN]", *(f"{line},1.0" for line in command[1:])]), encoding="utf-8")
+    record = hx.read_files(file)["wall_2"].record
+    assert record is not None
+    np.testing.assert_allclose(record["elongation"], history([0.0, *loading["reversals"]], rate)[1], atol=1e-8)
+
+
+def test_a_diagnosis_that_proposes_no_loading_has_none_to_ask_for(tmp_path, capsys):
+    (tmp_path / "study.yaml").write_text(dump_yaml(spring_study().written()), encoding="utf-8")
+    (tmp_path / "summary.json").write_text('{"study": "wall", "status": "complete", "diagnosis": {}}', encoding="utf-8")
+    assert main(["ask", str(tmp_path)]) == 2
+    assert "its diagnosis proposes no loading" in capsys.readouterr().err

@@ -57,7 +57,7 @@ class Loading(NamedTuple):
     Attributes:
         name: in words.
         reversals: elongations in order, from the virgin specimen on [m].
-        rate: of the elongation [m/s].
+        rate: of the elongation [m/s]; None if the test has no time.
         expected_log_bayes_factor: between the explanations [nats].
         repeated: the same of the measured test, if it is repeated.
         pair: that the specimen is measured in.
@@ -65,7 +65,7 @@ class Loading(NamedTuple):
 
     name: str
     reversals: Float[np.ndarray, " r"]
-    rate: float
+    rate: float | None
     expected_log_bayes_factor: float
     repeated: float
     pair: Pair
@@ -126,7 +126,8 @@ def next_loading(probe: Probe, search: Search, rivals: Sequence[Model]) -> Loadi
     name, turns, rate = sequences[best]
     if not information[best] > WORTHWHILE or name == _REPEATED:
         return None
-    return Loading(name, turns[1:], rate, float(information[best]), float(information[0]), problem.pair)
+    asked = rate if visited.has_time else None
+    return Loading(name, turns[1:], asked, float(information[best]), float(information[0]), problem.pair)
 
 
 def _sequences(visited: Range) -> Iterator[tuple[str, Float[np.ndarray, " r"], float]]:
