@@ -14,9 +14,10 @@
 # %% [markdown]
 # # Which experiment next?
 #
-# This is the campaign of Abbiati & Marelli (17WCEE). The structure has two masses, and its middle spring is the specimen in the
-# laboratory. The specimen loses stiffness, and the model does not know this. Every experiment costs a specimen. So each next
-# ground motion is the one that tells most about the discrepancy between specimen and model.
+# This notebook repeats the numerical study of Abbiati & Marelli (17WCEE). The structure has two masses. The spring between
+# them is the specimen, which is tested in the laboratory. The specimen loses stiffness, but the stiffness of the model is
+# constant. Every experiment costs a specimen, so only a few are possible. The design therefore searches for the ground motion
+# with the largest discrepancy between specimen and model.
 
 # %%
 import matplotlib.pyplot as plt
@@ -27,8 +28,8 @@ study = hx.load_study("../configs/paper.yaml", ["design.iterations=10"])
 study
 
 # %% [markdown]
-# Two parameters of the Bouc–Wen law are unknown: the stiffness A and the shape parameter β. The experimenter chooses two inputs
-# of the ground motion: the peak velocity and the period of a near-fault pulse.
+# Two parameters of the Bouc–Wen law are unknown: the stiffness A and the shape parameter β. The ground motion is a near-fault
+# pulse. The experimenter chooses its two inputs: the peak velocity V_P and the period T_P.
 #
 # ## The possible experiments
 
@@ -36,11 +37,11 @@ study
 axes = hx.plot.ground_motions(study)
 
 # %% [markdown]
-# The period T_P moves the peak of the spectrum. The velocity V_P scales the spectrum.
+# The period T_P shifts the peak of the response spectrum. The velocity V_P scales the spectrum.
 #
 # ## The specimen differs from the model
 #
-# This is one experiment at the central inputs, with the same A and β in both:
+# The next cell simulates one experiment at the central inputs. Specimen and model have the same A and β:
 
 # %%
 degradation = "model.effects={stiffness_degradation: {eta: 2.0e-5}}"
@@ -53,13 +54,19 @@ for name, one in {"specimen": specimen, "model": study}.items():
 ax.legend()
 _ = ax.set(xlabel="Elongation [mm]", ylabel="Force [kN]")
 # %% [markdown]
-# The specimen softens as it absorbs energy: it moves further than the model under a smaller force.
+# The specimen loses stiffness as it absorbs energy. Its largest elongation is larger than that of the model, and its largest
+# force is smaller.
 #
 # ## The campaign
 #
-# The campaign begins with three experiments and then chooses ten, one after another. Each step calibrates the model, fits a
-# Kriging surrogate to the discrepancy, and performs the experiment with the largest expected improvement. The paper makes forty
-# steps; leave out `design.iterations=10` above to do the same.
+# The design starts with three experiments and then chooses ten more, one after another. Each step has three parts:
+#
+# - It calibrates the model with all experiments so far.
+# - It fits a Kriging surrogate to the discrepancy.
+# - It performs the experiment with the largest expected improvement. The improvement is the excess of the discrepancy over
+#   the largest one so far.
+#
+# The paper chooses forty experiments. To do the same, remove `design.iterations=10` from the first code cell.
 
 # %%
 run = hx.run(study, output="runs/lesson_paper", force=True, progress=False, figures=False)
@@ -69,33 +76,37 @@ run.calibration
 ax = hx.plot.exploration(run)
 
 # %% [markdown]
-# The numbers are the order of the experiments, and squares are the initial ones. Most of the chosen experiments have strong
-# pulses with a period near 0.75 s.
+# The numbers give the order of the experiments. Squares mark the initial experiments. Seven of the ten chosen experiments
+# combine a strong pulse (V_P above 2.4 m/s) with a period between 0.5 s and 1 s.
 
 # %%
 ax = hx.plot.expected_improvement(run)
 
 # %% [markdown]
-# The expected improvement falls with setbacks, because a new region can show a larger discrepancy.
+# The expected improvement falls from more than 0.3 to less than 0.01. It rises slightly twice, because each new experiment
+# changes the calibrated parameters and the surrogate.
 #
-# ## What the model learns, and what it cannot learn
+# ## The error and the estimates
 
 # %%
 ax = hx.plot.error_map(run.calibration)
 
 # %% [markdown]
-# The calibrated model errs most where the experiments crowd. The expected improvement looks for such places.
+# The colours show the squared error of the calibrated model. The error is largest for strong pulses with a period near
+# 0.75 s. Most of the experiments are in or near this region, because the expected improvement searches for large
+# discrepancies.
 
 # %%
 axes = hx.plot.estimates(run)
 
 # %% [markdown]
-# The bands are narrow, and both estimates end below the dashed values of the specimen. More experiments make a wrong model more
-# certain, but not more correct.
+# The bands become narrower with more experiments. At the end, both estimates are below the true values (dashed), and the
+# bands do not contain the true values. More experiments make the estimates of a wrong model more precise, but not more
+# correct.
 
 # %%
 axes = hx.plot.posterior(run.calibration, truth=parameters)
 
 # %% [markdown]
-# The true pair lies far outside the posterior. The notebook *A model with a missing effect* finds the missing effect from time
-# histories.
+# The true values of A and β are far outside the posterior. The notebook *A model with a missing effect* uses time histories
+# to find the missing effect.

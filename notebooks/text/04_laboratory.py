@@ -14,11 +14,12 @@
 # %% [markdown]
 # # Experiments that take days
 #
-# People and a controller prepare and run a test for a day, and sometimes it fails. How does the design wait for the test, and
-# how does it treat a failed one?
+# In a real laboratory, one test can take a day, and a test can fail. How does a design wait for its tests? How does it treat
+# a failed test?
 #
-# The design *asks*, and the laboratory *tells*. In between nothing runs, because everything is in the run folder. You can call
-# each of the lines below on another day, here or with `hsed ask` and `hsed tell` in a terminal.
+# Two calls connect the design and the laboratory: `ask` requests an experiment, and `tell` reports its result. No program
+# runs between the two calls, because the run folder stores everything. You can make each call on another day, here or in a
+# terminal (`hsed ask` and `hsed tell`).
 
 # %%
 import shutil
@@ -29,10 +30,10 @@ import pandas as pd
 import hsed_jax as hx
 
 RUN = "runs/lesson_laboratory"
-shutil.rmtree(RUN, ignore_errors=True)  # the lesson begins anew each time
+shutil.rmtree(RUN, ignore_errors=True)  # delete the results of an earlier execution
 
 # %% [markdown]
-# The study names the columns and units of the laboratory's records, and the limits of its actuator:
+# The study declares the columns and units of the records, and the limits of the actuator:
 
 # %%
 study = hx.load_study(
@@ -51,9 +52,9 @@ study = hx.load_study(
 )
 
 # %% [markdown]
-# ## Asking
+# ## Ask for experiments
 #
-# Several tests may be pending at once. Until their results are told, the design uses its own prediction of them.
+# Several experiments can be pending at the same time. Until their results are known, the design uses its predictions of them.
 
 # %%
 with hx.AskTell(study, RUN) as design:
@@ -61,18 +62,19 @@ with hx.AskTell(study, RUN) as design:
     print(design.told(first))
 
 # %% [markdown]
-# The folder of the request holds the ground motion for the controller, as a table and as `.AT2`, and the expected response for
-# the operator. Before any measurement, the expected response follows from the prior alone. So its band is wide.
+# The folder of the request contains the ground motion for the controller, as a table and in the format `.AT2`. It also
+# contains the expected response for the operator. Before the first measurement, the expected response depends only on the
+# prior, so its band is wide.
 
 # %%
 with hx.AskTell(output=RUN) as design:
     axes = hx.plot.expected(design, first.id)
 
 # %% [markdown]
-# ## Telling
+# ## Tell the results
 #
-# The laboratory of this notebook is a simulation with an effect that the model does not know; your laboratory has a hydraulic
-# actuator. It returns a table with the columns that the study declares.
+# In this notebook, a simulation replaces the laboratory. Its specimen has an effect that the model does not have. A real
+# laboratory has an actuator instead. The laboratory returns a table with the columns that the study declares.
 
 # %%
 specimen = hx.load_study(
@@ -82,7 +84,7 @@ noise = np.random.default_rng(0)
 
 
 def laboratory(inputs):
-    """What the sensors say: time [s], elongation [mm], force [kN]."""
+    """Measured time [s], elongation [mm] and force [kN]."""
     response = hx.simulate(specimen, inputs, {"A": 5.0e5, "beta": 1.0}, channels=("elongation", "force"))
     measured = {"du": 1e3 * response.channels["elongation"], "F": 1e-3 * response.channels["force"]}
     columns = {name: v + 0.02 * v.std() * noise.standard_normal(v.size) for name, v in measured.items()}
@@ -90,8 +92,8 @@ def laboratory(inputs):
 
 
 # %% [markdown]
-# The second test is done first. The first test fails half-way. Its partial record is kept with the reason for the failure, and
-# it is not fitted.
+# The second test is finished first. The first test fails before its end. The design keeps its partial record and the reason
+# for the failure. This record is not fitted.
 
 # %%
 with hx.AskTell(output=RUN) as design:
@@ -100,8 +102,8 @@ with hx.AskTell(output=RUN) as design:
     print(design)
 
 # %% [markdown]
-# The design asks for it again. This time the table ran a little too strong. The design learns from the tested inputs, not from
-# the requested ones.
+# `ask_again` requests the failed experiment again. This time, the ground motion is 2 % stronger than requested. The
+# laboratory tells the tested inputs, and the design uses these instead of the requested ones.
 
 # %%
 with hx.AskTell(output=RUN) as design:
@@ -110,8 +112,8 @@ with hx.AskTell(output=RUN) as design:
     design.tell(first.id, record=laboratory(tested), inputs=tested)
 
 # %% [markdown]
-# From now on it is a loop. After the initial experiments, each experiment is the one that is expected to tell most about the
-# misfit.
+# The other experiments follow in a loop. After the three initial experiments, the design asks for the experiment with the
+# largest expected improvement:
 
 # %%
 with hx.AskTell(output=RUN) as design:
@@ -122,21 +124,22 @@ with hx.AskTell(output=RUN) as design:
     print(design)
 
 # %% [markdown]
-# The figure compares the last experiment with its prediction. The band is narrow by now, and the specimen leaves it. More
-# experiments of this kind would not help.
+# The figure compares the last experiment with its prediction. The band is now so narrow that it is hardly visible, and the
+# measurement leaves it. More experiments of this kind do not remove this difference.
 #
 # ## Continue the run
 #
-# The run continues from the experiments in its folder, as if it had performed them itself:
+# The run takes the experiments from its folder and continues with the next steps of the study:
 
 # %%
 run = hx.run(study, RUN, resume=True, progress=False)
 run.comparison
 
 # %% [markdown]
-# The error is far above the noise, so the model lacks an effect. The notebook `03_hidden_effect` finds such an effect.
+# The error is about twelve times the noise, so the model lacks an effect. The notebook *A model with a missing effect*
+# (`03_hidden_effect`) shows how to find it.
 #
-# The same from a terminal:
+# These are the same steps in a terminal:
 #
 # ```
 # hsed ask study.yaml --count 2
@@ -147,5 +150,5 @@ run.comparison
 # hsed run study.yaml --resume
 # ```
 #
-# `hsed tell` reads the record from the folder of the request, `record.csv` here. [Laboratories](../docs/laboratories.md)
-# describes the other kinds: a program, a Python function, OpenSees.
+# `hsed tell` reads the file `record.csv` in the folder of the request. [Laboratories](../docs/laboratories.md) describes the
+# other kinds of laboratory: a program, a Python function, OpenSees.

@@ -14,20 +14,20 @@
 # %% [markdown]
 # # Many studies
 #
-# How do the results change with worse sensors, another draw of the noise, or another ground motion? Two tools answer this. A
-# sweep runs a study many times. Sobol' indices show which inputs and parameters the response depends on.
+# This notebook shows two tools. A sweep runs a study many times with different settings, such as the noise of the sensors.
+# Sobol' indices show on which inputs and parameters the response depends.
 
 # %%
 import hsed_jax as hx
 
-NOISE = [0.01, 0.1]  # relative to the measured quantity
+NOISE = [0.01, 0.1]  # standard deviation over the measured quantity
 SEEDS = [0, 1, 2]
 
 # %% [markdown]
 # ## How much do better sensors help?
 #
-# The sweep has four experiments on a specimen that the model describes. Every combination of noise and seed is a study of its
-# own, in a process of its own. A seed is another draw of the noise.
+# Every study of this sweep calibrates the model with four experiments. The specimen has no effect that the model lacks. Each
+# combination of noise and seed is one study and runs in its own process. Each seed gives another realisation of the noise.
 
 # %%
 study = hx.load_study(
@@ -36,7 +36,7 @@ study = hx.load_study(
         "steps=[calibrate]",
         "design.initial=4",
         "experiments.virtual.effects={}",
-        "error=null",  # the noise that the laboratory declares
+        "error=null",  # use the noise that the laboratory declares
         "calibration={chains: 1, warmup: 100, draws: 200, starts: 2}",
         "excitation.duration=4.0",
     ],
@@ -49,28 +49,30 @@ swept
 swept.figure()
 
 # %% [markdown]
-# Bars are 90 % intervals. With ten times the noise they are about ten times as wide. The estimates scatter around the true
-# values A = 500 kN/m and β = 1 as much as the intervals say.
+# The bars are 90 % intervals. With ten times the noise, they are about ten times as wide. The true values are A = 500 kN/m
+# and β = 1. Every interval contains the true value or ends close to it.
 #
-# One table holds everything, with a row for each study. The file `runs/lesson_sweep/table.parquet` holds the same table:
+# `swept.table` has one row per study. The file `runs/lesson_sweep/table.parquet` contains the same table. The next cell
+# prints the means over the seeds:
 
 # %%
 swept.table.groupby("experiments.virtual.noise.relative")[["map.A", "sd.A", "map.beta", "sd.beta"]].mean()
 
 # %% [markdown]
-# If a study fails, the others continue, and `swept.failures` gives the reason. After a crash or Ctrl-C, the same call with
-# `resume=True` runs the missing studies. `scheduler="tcp://..."` runs the sweep on a Dask cluster ([more](../docs/sweeps.md)).
+# If a study fails, the others continue. `swept.failures` then gives the reason. After a crash or Ctrl-C, the same call with
+# `resume=True` runs the missing studies. With `scheduler="tcp://..."`, the sweep runs on a Dask cluster
+# ([sweeps](../docs/sweeps.md)).
 #
 # ## Which inputs matter?
 #
-# The paper varies V_P and T_P of the ground motion. It fixes the other two numbers of the pulse, the number of oscillations γ =
-# 2 and the phase ν = 0.1, because the response hardly depends on them. To check this, both become inputs with a range of a
-# tenth around these values:
+# The pulse of the ground motion has four numbers. The paper varies V_P and T_P. It fixes the number of oscillations γ = 2 and
+# the phase ν = 0.1 rad, because the response hardly depends on them. The next cell checks this. Both become inputs with a
+# small range around these values:
 
 
 # %%
 def pulse(gamma, nu):
-    """The paper's study with the whole pulse as inputs."""
+    """The study of the paper, with all four numbers of the pulse as inputs."""
     return hx.load_study(
         "../configs/paper.yaml",
         [
@@ -85,10 +87,12 @@ near = hx.sensitivity(pulse(gamma=[1.8, 2.2], nu=[0.0, 0.2]), samples=512)
 near.figure()
 
 # %% [markdown]
-# The total-order index of a variable is the share of the variance that remains if everything else is known. The period and the
-# velocity of the pulse and the stiffness A have large indices. γ and ν do not matter, as the paper says.
+# The total-order index of a variable is the share of the variance that remains if all other variables are known. The period
+# T_P has the largest index for all three quantities. V_P also matters for all of them. The stiffness A matters for the peak
+# elongation and the dissipated energy. The indices of γ and ν are 0.02 or less, which agrees with the paper.
 #
-# The paper does not give the range. Recorded pulses have any phase, and from one and a half to four oscillations:
+# The paper does not give the ranges of γ and ν. Recorded pulses can have any phase, and from 1.5 to 4 oscillations. The next
+# cell uses these ranges:
 
 # %%
 wide = hx.sensitivity(pulse(gamma=[1.5, 4.0], nu=[0.0, 6.28]), samples=512)
@@ -98,5 +102,5 @@ wide.figure()
 wide
 
 # %% [markdown]
-# The phase does not matter, even over the whole circle. The number of oscillations matters, and most for the dissipated energy:
-# a longer pulse has more cycles. If you plan experiments on the energy, make γ an input, too.
+# The phase does not matter, even over the full circle. The number of oscillations matters most for the dissipated energy,
+# because a longer pulse has more cycles. If your experiments measure the dissipated energy, make γ an input, too.

@@ -14,10 +14,10 @@
 # %% [markdown]
 # # An effect of your own
 #
-# Perhaps the catalogue does not have the effect that you suspect. Write it as a class. Then simulation, calibration and
-# diagnosis use it like any other effect.
+# Perhaps the catalogue does not contain the effect that you suspect. You can write this effect as a Python class. Simulation,
+# calibration and diagnosis then use it like any other effect.
 #
-# The example is a bumper on one side of the frame. The specimen touches it when it moves far enough to that side.
+# The example is a bumper on one side of the frame. The specimen touches the bumper if it moves far enough to this side.
 
 # %%
 from typing import ClassVar, final
@@ -33,10 +33,11 @@ from hsed_jax.physics.parameters import parameter
 from hsed_jax.reporting.catalogue import entry
 
 # %% [markdown]
-# ## The class
+# ## Write the class
 #
-# The first parameter is the amplitude. At zero, its neutral value, the effect is absent. The effect writes to a slot of the
-# law; here it adds a force [N]. `point.scales` holds the characteristic values that make the parameters dimensionless.
+# The first parameter is the amplitude. At zero, its neutral value, the effect has no influence. The method `contribute`
+# writes to a slot of the spring law. Here it adds a force [N]. `point.scales` contains the characteristic values that make
+# the parameters dimensionless.
 
 
 # %%
@@ -51,13 +52,13 @@ class Bumper(AbstractSpringEffect):
     clearance: float = parameter("c", "1", "clearance", neutral=0.5, prior={"uniform": [0.0, 1.0]})
 
     def contribute(self, point):
-        """An addend to the force."""
+        """The force that the bumper adds to the law."""
         beyond = jnp.maximum(point.elongation / point.scales.elongation - self.clearance, 0.0)
         return {"force": self.delta * point.scales.force * beyond}
 
 
 # %% [markdown]
-# The catalogue shows it like this:
+# This is the entry of the effect in the catalogue:
 
 # %%
 print(entry("bumper", EFFECTS.joined([Bumper]), curves_of))
@@ -65,8 +66,8 @@ print(entry("bumper", EFFECTS.joined([Bumper]), curves_of))
 # %% [markdown]
 # ## Is it correct?
 #
-# Tell a study of the effect; the study may then name it. At the neutral value, the response is equal to the plain one in every
-# digit:
+# `with_own_effects` adds the class to a study. The study can then name the effect. At the neutral value, the response must
+# equal the response without the effect in every digit:
 
 # %%
 CONFIG, inputs = "../configs/hidden_effect.yaml", {"V_P": 2.25, "T_P": 1.0}
@@ -81,12 +82,12 @@ forces = [
 np.array_equal(*forces)
 
 # %% [markdown]
-# The derivative that the calibration uses agrees with a finite difference:
+# The calibration uses derivatives. The derivative of the peak force agrees with a finite difference:
 
 
 # %%
 def peak_force(delta):
-    """Largest force [N] over the stiffness of the bumper."""
+    """Peak force [N] as a function of the stiffness of the bumper."""
     present = {"bumper.delta": delta, "bumper.clearance": 0.5}
     return hx.simulate(suspected, inputs, law | present, channels=()).quantities["peak_force"]
 
@@ -107,7 +108,8 @@ fit = hx.calibrate(study)
 axes = hx.plot.loops(fit)
 
 # %% [markdown]
-# The measured force turns up at large positive elongations. The model can only choose a stiffness in between.
+# At large positive elongations, the measured force rises more steeply. The model has the same stiffness on both sides, so its
+# fit is a compromise.
 
 # %%
 diagnosis = hx.diagnose(fit)
@@ -117,9 +119,10 @@ diagnosis
 ax = hx.plot.ranking(diagnosis)
 
 # %% [markdown]
-# The bumper is named before every effect of the catalogue. The quadratic spring is second: it is one-sided, too, but has no
-# clearance. (δ is relative to the characteristic force and elongation of these measurements.)
+# The diagnosis names the bumper with a probability of 1.000. The held-out error falls from 0.263 to 0.049. No effect of the
+# catalogue remains in the ranking. (δ is relative to the characteristic force and elongation of the measurements. The δ of
+# the virtual specimen is relative to other values, so the two numbers differ.)
 #
-# For a study of your own, put the class into a file such as `bumper.py`, and decorate it with
+# For a study of your own, save the class in a file such as `bumper.py`, and decorate it with
 # `hsed_jax.physics.effects.base.register`. Name the file in the study: `model: {own_effects: [bumper.py]}`. Then the command
-# line knows the effect, too ([more](../docs/effects.md)).
+# line uses the effect, too ([own effects](../docs/effects.md)).

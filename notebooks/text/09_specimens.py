@@ -14,10 +14,11 @@
 # %% [markdown]
 # # Many specimens
 #
-# Six dampers of one make were tested in the same two ways. Their strengths differ, and one has an effect that the others do not
-# have. Is a difference between two specimens scatter, or physics?
+# A laboratory tested six dampers of the same type. Every damper had the same two tests. The strengths of the dampers differ,
+# and one damper has an effect that the others do not have. Is a difference between two specimens only scatter, or does it
+# have a physical cause?
 #
-# The laboratory is a few lines of NumPy here, so that the notebook runs anywhere.
+# A few lines of NumPy replace the laboratory, so the notebook runs on any computer.
 
 # %%
 import numpy as np
@@ -25,14 +26,14 @@ import pandas as pd
 
 import hsed_jax as hx
 
-STRENGTH, SCATTER, YIELD = 4.0e4, 0.08, 5.0e-3  # N, of its logarithm, m
-DASHPOT = 4.0e4  # N s/m, in the last specimen alone
+STRENGTH, SCATTER, YIELD = 4.0e4, 0.08, 5.0e-3  # N, standard deviation of ln(strength), m
+DASHPOT = 4.0e4  # N s/m, only in the last specimen
 RANDOM = np.random.default_rng(1)
 
 
 # %%
 def test(strength, dashpot, frequency, amplitude, noise=800.0):
-    """One cyclic test: a spring that yields, the dashpot beside it, and the noise of a load cell."""
+    """One cyclic test of a yielding spring with a parallel dashpot; the measured force has noise."""
     t = np.linspace(0.0, 4.0 / frequency, 160)
     u = amplitude * (0.3 + 0.7 * t / t[-1]) * np.sin(2 * np.pi * frequency * t)
     dense = np.linspace(0.0, t[-1], 40 * (t.size - 1) + 1)
@@ -58,9 +59,9 @@ units = {"time": "s", "elongation": "m", "force": "N"}
 campaign = hx.Campaign.from_frames(pd.DataFrame(rows), records, name="dampers", protocol="displacement", channels=units)
 
 # %% [markdown]
-# The column `specimen` names the damper of each test. `model.levels` says which parameters vary with it: the stiffness, and
-# with it the strength $A/\beta$. The shape of the loop is the same for all. All tests of the fifth damper are held out, so its
-# stiffness is unknown.
+# The column `specimen` gives the damper of each test. `model.levels` declares the parameters that vary from damper to damper.
+# Here this is the stiffness A, and with it the strength $A/\beta$. The parameter β is the same for all dampers. Both tests of
+# the fifth damper, D4, are held out, so the calibration does not know its stiffness.
 
 # %%
 study = hx.load_study(
@@ -80,21 +81,21 @@ fit = hx.calibrate(study, campaign)
 fit
 
 # %% [markdown]
-# `specimen.A.spread` is the standard deviation of the logarithms. The rows below it are the single specimens. For the last one,
-# this model explains the dashpot by a larger stiffness.
+# `specimen.A.spread` is the standard deviation of ln A in the population. The rows below it give A of each specimen. This
+# model has no dashpot. For D5, it represents the dashpot by a larger stiffness.
 
 # %%
 axes = hx.plot.population(fit)
 
 # %% [markdown]
-# The unknown damper is predicted from the population: the width of its band is the scatter of the specimens.
+# The model predicts D4 from the population. The width of the grey band includes the scatter of the specimens.
 
 # %%
 hx.compare(fit)
 
 # %% [markdown]
-# The diagnosis looks for missing effects. For each named effect it decides whether the population has it, only these specimens,
-# or none of them.
+# The diagnosis searches for missing effects. For an effect that it finds, it states which specimens have it: all, some or
+# none.
 
 # %%
 diagnosis = hx.diagnose(fit, campaign)
@@ -106,4 +107,7 @@ for found in diagnosis.specimens:
     print(pd.DataFrame(found.of).T)
 
 # %% [markdown]
-# One damper has the dashpot. It is no property of the make, and a model for the next damper does not have it.
+# The verdict is `unexplained`, because no effect improves the prediction of all dampers. The diagnosis then examines single
+# dampers. It finds `power_damping` in D5, with a probability of 1.00. This effect is a damping force that grows with the
+# rate, like the force of the dashpot of the laboratory. The other dampers do not have it. The prediction of the next damper
+# therefore leaves it out.
