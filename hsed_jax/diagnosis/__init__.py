@@ -1,1 +1,1 @@
-"""Which effect a model lacks: a search over nested models, by evidence and by prediction."""
+"""The search for the effect that a model lacks, over nested models, by evidence and by prediction."""

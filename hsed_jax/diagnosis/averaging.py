@@ -1,11 +1,11 @@
-r"""Predictions where several explanations are as good: an average over them, and how far they differ.
+r"""Averages of predictions over explanations that are equally good, and the differences between these explanations.
 
-Each explanation predicts as a Gaussian with what its parameters do not know; the average has the mean and the variance of their
-mixture, of which the spread between the explanations is a part of its own:
+Each explanation predicts a Gaussian, whose variance is that of its parameters.  The average has the mean and the variance of the
+mixture of these Gaussians.  The variance between the explanations is a separate part:
 
 $$\bar f = \sum_k w_k f_k,\qquad \operatorname{var} = \sum_k w_k\,\operatorname{var}_k + \sum_k w_k (f_k-\bar f)^2 .$$
 
-The weights are the probabilities of the models by what they predict (`hsed_jax.diagnosis.score`).
+The weights are the probabilities of the models by their scores (`hsed_jax.diagnosis.score`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,12 +21,12 @@ from hsed_jax.diagnosis.search import Search
 
 
 class Explanation(NamedTuple):
-    """One of several sets of effects that are as good.
+    """One of several sets of effects that are equally good.
 
     Attributes:
-        effects: their names.
-        weight: that its predictions have in the average.
-        error_test: as of a candidate (`hsed_jax.diagnosis.findings.Candidate`).
+        effects: the names of the effects.
+        weight: of its predictions in the average.
+        error_test: as in a candidate (`hsed_jax.diagnosis.findings.Candidate`).
     """
 
     effects: list[str]
@@ -38,13 +38,13 @@ class Averaged(NamedTuple):
     """Predictions averaged over explanations.
 
     Attributes:
-        explanations: what was averaged over, the one that is named first.
-        train, test: predictions of the fitted and of the held-out experiments; the part `explanations` of their bands is how far
-            these differ.
-        error_test: error of the average on the held-out experiments; None where there are none.
-        differ: by output, where the explanations differ most among the experiments that could be made, or else those that were:
-            `sd` between them (SI), its `share` of the mean prediction's RMS over time, and the `inputs` (declared units) or the
-            `experiment`.
+        explanations: the explanations of the average, the named one first.
+        train, test: predictions of the fitted and of the held-out experiments; the part `explanations` of their bands is the
+            standard deviation between the explanations.
+        error_test: error of the average on the held-out experiments; None without any.
+        differ: by output, the largest difference between the explanations, among the candidate experiments or, without any,
+            among the measured ones: the standard deviation `sd` between them (SI), its `share` of the RMS of the mean
+            prediction over time, and the `inputs` (declared units) or the `experiment`.
     """
 
     explanations: list[Explanation]
@@ -54,7 +54,7 @@ class Averaged(NamedTuple):
     differ: Mapping[str, Mapping[str, Any]]
 
     def summary(self) -> dict[str, Any]:
-        """Beside the verdict in `summary.json`."""
+        """The key `diagnosis.averaged` of `summary.json`."""
         explanations = [
             {k: v for k, v in e._asdict().items() if not isinstance(v, float) or np.isfinite(v)}
             for e in self.explanations
@@ -64,7 +64,7 @@ class Averaged(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What was averaged, and how far it differs where it matters."""
+        """The explanations of the average, and their largest difference."""
         of = ", ".join(f"{' + '.join(e.effects) or 'nothing'} ({e.weight:.0%})" for e in self.explanations)
         output, most = max(self.differ.items(), key=lambda item: item[1]["share"])
         inputs = most.get("inputs", {})
@@ -76,12 +76,12 @@ class Averaged(NamedTuple):
 
 
 def averaged(problem: Problem, search: Search, models: Sequence[Model]) -> Averaged:
-    """Average predictions over models that are as good.
+    """Average predictions over models that are equally good.
 
     Arguments:
         problem: the measurements and the large model.
-        search: that found them.
-        models: the explanations, the one that is named first.
+        search: the search that found the models.
+        models: the explanations, the named one first.
     """
     rows = np.arange(problem.rows + len(problem.candidates))
     means, spreads, ok = (np.stack(each) for each in zip(*(_moments(problem, m, rows) for m in models), strict=True))
@@ -107,7 +107,7 @@ def averaged(problem: Problem, search: Search, models: Sequence[Model]) -> Avera
 
 
 def _moments(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Prediction of a model, its sd by the parameters, (r, J), and whether it converged, (r,)."""
+    """Prediction of a model, its sd from the parameters, (r, J), and whether its simulation converged, (r,)."""
     mean, spread, ok = predictive(problem.models, model.fit, rows)
     return mean, np.sqrt(np.sum(spread**2, axis=2)), ok
 
@@ -115,7 +115,7 @@ def _moments(problem: Problem, model: Model, rows: np.ndarray) -> tuple[np.ndarr
 def _prediction(
     problem: Problem, search: Search, rows: slice, mean: np.ndarray, parts: Mapping[str, np.ndarray], ok: np.ndarray
 ) -> Prediction:
-    """The average as predictions of measured experiments."""
+    """The average, as a prediction of measured experiments."""
     measured, experiments = problem.train, problem.experiments
     if rows.start:
         assert problem.test is not None

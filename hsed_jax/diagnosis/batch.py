@@ -1,13 +1,13 @@
-"""Simulations of many models in one batch: pairs of a parameter vector and an experiment.
+"""Simulations of many models in one batch; each simulation is a pair of a parameter vector and an experiment.
 
-One program holds every candidate effect in all its forms.  It serves every set of effects, every campaign of its kind and every
-record of about its length: masses, scales, data and parameters are operands.  An effect whose parameters are neutral in all
-simulations that run together is not computed (`hsed_jax.physics.gates`), so simulations of one model run together.
+One program holds every candidate effect in all its forms.  It serves every set of effects, every campaign of the same kind and
+every record of similar length, because masses, scales, data and parameters are operands.  An effect whose parameters are neutral
+in all simulations that run together is not computed (`hsed_jax.physics.gates`).  Simulations of one model thus run together.
 
-A model that is simulated again and again gets a program of its own, which is faster, as soon as that would have paid for
-itself (the rule of ski rental: at most twice the cost of knowing the number of simulations beforehand; Karlin et al. 1988).
+A model that is simulated often gets a separate program, which is faster.  It is compiled as soon as it would have saved the time
+of its compilation (the ski-rental rule: at most twice the cost with a known number of simulations; Karlin et al. 1988).
 
-Chunks of simulations go to threads: XLA runs a program of this kind on one core, and several at a time on several.
+Threads run chunks of simulations in parallel, because XLA runs a program of this kind on one core.
 """
 
 # JAX gives its devices no type, so the functions that make arrays have none.
@@ -31,19 +31,19 @@ from hsed_jax.physics.gates import BATCH_AXIS, Acts
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
 from hsed_jax.programs import program
 
-# Simulations of a chunk, and those that run together: most rounds ask for a few of each set.
+# Simulations of a chunk, and of a tile, which run together: most rounds request few simulations of each set.
 _CHUNK, _TILE = 64, 8
-# So many samples more than are asked for: a sensor may be early.
+# A history is simulated for this many samples more than requested, because a sensor may be early.
 _AHEAD = 16
-# Outputs beyond this are on their way to infinity, and their squares would be no numbers.
+# Larger outputs belong to a diverging simulation; their squares may overflow.
 _FAR = 1e100
-# A program of its own takes about three seconds to make, as long as it saves in so many steps.
+# The compilation of a separate program takes about three seconds, the time that it saves in this many steps.
 _PRICE = 8_000_000
 
 
 @runtime_checkable
 class Predictions(Protocol):
-    """What makes predictions of many models, a `Batch`, say."""
+    """Predicts the outputs of many models; `Batch` is one implementation."""
 
     def __call__(
         self,
@@ -55,8 +55,8 @@ class Predictions(Protocol):
 
         Arguments:
             thetas: parameters.
-            experiments: their numbers.
-            samples: of a history so many are asked for, by default all that are used; later ones may be anything.
+            experiments: numbers of the experiments.
+            samples: requested samples of each history, by default all used ones; later samples may have any value.
         """
         ...
 
@@ -65,10 +65,10 @@ class Part(NamedTuple):
     """A candidate in the large model.
 
     Attributes:
-        effect: its name.
-        columns: of its parameters, (q,).
-        neutral: what these are where it is absent, (q,).
-        shapes: whether each tells a shape of the effect from the simplest one, (q,).
+        effect: the name of the effect.
+        columns: indices of its parameters, (q,).
+        neutral: neutral values of these parameters, (q,).
+        shapes: whether each parameter changes the shape of the effect from its simplest shape, (q,).
     """
 
     effect: str
@@ -78,12 +78,12 @@ class Part(NamedTuple):
 
 
 class Present(NamedTuple):
-    """What tells from a parameter vector which effects it has.
+    """Determines from a parameter vector which effects it contains.
 
     Attributes:
-        effects: their names, E of them.
-        neutral: parameters where all are absent, (P,).
-        owned, shapes: whether a parameter belongs to an effect, and whether it is one of its shape, (E, P).
+        effects: names of the E effects.
+        neutral: parameters at which all effects are absent, (P,).
+        owned, shapes: whether a parameter belongs to an effect, and whether it is a shape parameter of the effect, (E, P).
     """
 
     effects: tuple[str, ...]
@@ -92,19 +92,19 @@ class Present(NamedTuple):
     shapes: Bool[Array, "E P"]
 
     def acting(self, thetas: Float[Array, "L P"]) -> dict[str, Acts]:
-        """What each effect does in any of several simulations."""
+        """The action of each effect in simulations that run together."""
         differs = jnp.any(thetas != self.neutral, axis=0)
         acts, is_shaped = (jnp.any(own & differs, axis=1) for own in (self.owned, self.shapes))
         return {name: Acts(acts[k], is_shaped[k]) for k, name in enumerate(self.effects)}
 
 
 class Served(NamedTuple):
-    """A program, and what of a parameter vector it takes.
+    """A program and its parameters.
 
     Attributes:
-        outputs: what it computes.
-        present: which effects a simulation has; None where it computes all that there are.
-        columns: of the parameters, (p,).
+        outputs: the function that the program computes.
+        present: determines the effects of a simulation; None if the program computes all its effects.
+        columns: indices of its parameters in a full parameter vector, (p,).
     """
 
     outputs: Outputs
@@ -113,11 +113,11 @@ class Served(NamedTuple):
 
 
 class Apart(NamedTuple):
-    """How far the parameters of each experiment are from those of all, since its specimen has its own.
+    """Differences of the parameters of each experiment from the common parameters: each specimen has its own parameters.
 
     Attributes:
         names: of the parameters.
-        factor, shift: what each is multiplied by, and what is added, (n, K).
+        factor, shift: the factor multiplies each parameter, then the shift is added, (n, K).
     """
 
     names: tuple[str, ...]
@@ -125,7 +125,7 @@ class Apart(NamedTuple):
     shift: Float[np.ndarray, "n K"]
 
     def across(self, names: tuple[str, ...], rows: int) -> "Apart":
-        """The same for all parameters of a larger model and for more experiments, which have those of all."""
+        """The same for all parameters of a larger model and for more experiments, which have the common parameters."""
         factor, shift = np.ones((rows, len(names))), np.zeros((rows, len(names)))
         for k, name in enumerate(self.names):
             column = names.index(name)
@@ -135,7 +135,7 @@ class Apart(NamedTuple):
 
 
 class BatchApart(NamedTuple):
-    """A batch whose experiments have parameters of their own, relative to those that are asked for."""
+    """A batch in which each experiment has its own parameters, relative to the requested ones."""
 
     batch: "Batch"
     apart: Apart
@@ -146,17 +146,17 @@ class BatchApart(NamedTuple):
         experiments: Int[np.ndarray, " L"],
         samples: Int[np.ndarray, " L"] | None = None,
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
-        """As those of `Batch`."""
+        """As in `Batch`."""
         own = thetas * self.apart.factor[experiments] + self.apart.shift[experiments]
         return self.batch(own, experiments, samples)
 
 
 class Selected(NamedTuple):
-    """A batch of some of the experiments, known by their places among these.
+    """A batch of some of the experiments, numbered among themselves.
 
     Attributes:
         batch: of all experiments.
-        rows: places of the experiments among all, (r,).
+        rows: indices of the selected experiments among all experiments, (r,).
     """
 
     batch: "Predictions"
@@ -168,24 +168,24 @@ class Selected(NamedTuple):
         experiments: Int[np.ndarray, " L"],
         samples: Int[np.ndarray, " L"] | None = None,
     ) -> tuple[Float[np.ndarray, "L J"], Float[np.ndarray, " L"]]:
-        """As that of `Batch`."""
+        """As in `Batch`."""
         return self.batch(thetas, self.rows[experiments], samples)
 
 
 class Batch:
-    """Outputs of a model over simulations, each a parameter vector and the number of an experiment.
+    """Outputs of a model for many simulations; each is a parameter vector and the number of an experiment.
 
     Arguments:
         model: the computational model.
-        observation: what of a response is predicted.
+        observation: selects the predicted outputs of a response.
         names: of the parameters, in the order of a parameter vector.
         conditions: of the experiments, leading axis n.
-        parts: the effects of a `Simulator` that a simulation may lack.
-        used: which outputs are asked for at all, where that is known: a history is simulated to its last sample among them.
-        kept: the outputs that are returned, K of them; by default all.
+        parts: the effects of a `Simulator` that may be absent in a simulation.
+        used: whether each output is ever requested, if known: a history is simulated to the last of these samples.
+        kept: indices of the returned outputs, K of them; by default all.
 
     Attributes:
-        simulations: how many were made so far.
+        simulations: the number of simulations so far.
     """
 
     def __init__(
@@ -214,19 +214,19 @@ class Batch:
         experiments: Int[np.ndarray, " L"],
         samples: Int[np.ndarray, " L"] | None = None,
     ) -> tuple[Float[np.ndarray, "L K"], Float[np.ndarray, " L"]]:
-        """Outputs (L, K) and whether each simulation converged (L,); outputs of one that diverged are zero.
+        """Outputs (L, K) and whether each simulation converged (L,); the outputs of a diverged simulation are zero.
 
         Arguments:
             thetas: parameters.
-            experiments: their numbers.
-            samples: of a history so many are asked for, by default all that are used; later ones are as the last.
+            experiments: numbers of the experiments.
+            samples: requested samples of each history, by default all used ones; later samples repeat the last one.
         """
         self.simulations += len(thetas)
         stops = None
         if self._ends is not None:
             most = self._ends.shape[1] - 1
             stops = self._ends[experiments, most if samples is None else np.clip(samples + _AHEAD, 0, most)]
-        # Tiles are shared among the cores.
+        # The tiles are distributed over the cores.
         size = min(max(-(-len(thetas) // (cores() * _TILE)), 1) * _TILE, _CHUNK)
         chunks = [
             (served, places[start : start + size])
@@ -253,12 +253,12 @@ class Batch:
         return np.concatenate([out for out, _ in found])[back], np.concatenate([ok for _, ok in found])[back]
 
     def _served(self, thetas: np.ndarray, stops: np.ndarray | None) -> Iterator[tuple[Served, np.ndarray]]:
-        """The programs that simulations run, and the places of these in the order in which they run: those of one model together,
-        and of these those of about one length."""
+        """The programs, and the indices of their simulations in the order of execution: the simulations of one model run
+        together, sorted by length."""
         lengths = np.full(len(thetas), self._steps) if stops is None else stops
         kind_of, is_alone = np.zeros(len(thetas), dtype=int), np.zeros(len(thetas), dtype=bool)
         if self._present is not None:
-            # As one value a row: to sort rows by their columns takes ten times as long.
+            # Each row becomes one value: sorting the rows by their columns takes ten times as long.
             which = thetas != np.asarray(self._present.neutral)
             bits = np.packbits(which, axis=1)
             _, firsts, kind_of = np.unique(
@@ -278,7 +278,7 @@ class Batch:
             yield Served(self._outputs, self._present, np.arange(thetas.shape[1])), rest[order]
 
     def _alone(self, differs: Bool[np.ndarray, " P"]) -> Served:
-        """A program of the model in which these parameters are not neutral: all others are numbers that the compiler knows."""
+        """A program for the model in which only these effect parameters are not neutral; the others are compiled constants."""
         assert self._present is not None
         owned = np.asarray(self._present.owned)
         absent = {name for name, own in zip(self._present.effects, owned, strict=True) if not differs[own].any()}
@@ -301,8 +301,8 @@ def _present(parts: Sequence[Part], count: int) -> Present:
 def _steps_to(
     used: Bool[np.ndarray, "n J"], conditions: Conditions, observation: Observation, model: AbstractModel
 ) -> Int[np.ndarray, "n s1"] | None:
-    """Steps to the first 0, 1, 2, … samples of each experiment, at most to the last that is used and to the end of its record;
-    None where a simulation is not one of histories over a record."""
+    """Steps to the first 0, 1, 2, … samples of each experiment, limited by the last used sample and by the end of its record;
+    None if the simulations give no histories over a record."""
     recorded = conditions.recorded
     if not isinstance(observation, Histories) or recorded is None or model.timeline is None:
         return None
@@ -310,10 +310,10 @@ def _steps_to(
     ends = every * np.arange(count) if recorded.ends is None else np.asarray(recorded.ends)
     ends = np.broadcast_to(ends, (len(used), count))
     is_used = used.reshape(len(used), -1, count).any(axis=1)
-    # One that is not measured is asked for as a whole.
+    # An experiment without measurements is simulated as a whole.
     last = np.where(is_used.any(axis=1), np.minimum(count - np.argmax(is_used[:, ::-1], axis=1) + _AHEAD, count), count)
     whole = np.minimum(ends, ends[np.arange(len(used)), last - 1][:, None])
-    # Padded samples stand at the last step of the program, after the record.
+    # Padded samples are at the last step of the program, after the record.
     ended = np.full(len(used), steps) if recorded.stop is None else np.broadcast_to(recorded.stop, len(used))
     return np.minimum(np.concatenate([whole[:, :1], whole], axis=1), ended[:, None])
 
@@ -332,7 +332,7 @@ def _outputs(
         thetas, experiments, stops = batch
         if stops is None and conditions.stop is not None:
             stops = conditions.stop[experiments]
-        # One number for all, or the loop would ask every simulation at every step.
+        # One number for all simulations: otherwise the loop tests every simulation at every step.
         stop = None if stops is None else jnp.max(stops)
         acting, records = None if present is None else present.acting(thetas), conditions.until(None)
 
@@ -340,7 +340,7 @@ def _outputs(
             of_one: Callable[[Array], Array] = lambda leaf: leaf[experiment]  # noqa: E731
             at_it = jax.tree.map(of_one, records)._replace(acting=acting)
             outputs, ok = respond(theta, at_it.until(stop))
-            # On its way to infinity a diverging simulation passes numbers whose squares are no numbers any more.
+            # Before a diverging simulation reaches infinity, its outputs are so large that their squares overflow.
             ok = ok & jnp.all(jnp.abs(outputs) < _FAR)
             return jnp.where(ok, outputs, 0.0), ok
 

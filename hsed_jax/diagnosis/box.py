@@ -1,8 +1,8 @@
-"""Standardised coordinates in a box: what a search over many nested models works in.
+"""Standardised coordinates in a box, for a search over many nested models.
 
-Each parameter becomes a number of order one with a lower and an upper bound, either linear in θ or, where the prior lives on a
-logarithmic scale, in its logarithm.  A bound stays a bound: an amplitude that cannot be negative has its neutral value *on*
-it, which no unconstrained coordinate can hold.
+Each parameter becomes a number of order one with a lower and an upper bound.  The coordinate is linear in θ, or in log θ if the
+prior has a logarithmic scale.  Bounds are preserved: an amplitude that cannot be negative has its neutral value *on* its bound,
+and an unconstrained coordinate cannot represent this value.
 """
 
 # SciPy comes without types.
@@ -23,12 +23,12 @@ from hsed_jax.inference.priors import Prior
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-# A density is tabulated at so many quantiles, up to this log odds to either side, and no closer than this.
+# Largest log odds of a tabulated quantile, number of quantiles, and least distance between two knots of a tabulated density.
 _TAIL, _KNOTS, _APART = 14.0, 257, 1e-4
 
 
 class Terms(NamedTuple):
-    """Log density of some coordinates, its slope and its curvature (minus the second derivative, not negative), (q,)."""
+    """Log density of some coordinates, its slope and its curvature (minus the second derivative, at least zero), (q,)."""
 
     value: Float[np.ndarray, " q"]
     slope: Float[np.ndarray, " q"]
@@ -40,9 +40,9 @@ class Coordinate(NamedTuple):
 
     Attributes:
         is_log: whether x is linear in log θ.
-        middle, spread: of θ or log θ, where x is 0 and per unit of x.
-        low, high: bounds of x; infinite where there is none.
-        density: log density of x, a spline over the prior, exact where that is normal or uniform.
+        middle, spread: θ or log θ at x = 0, and its change per unit of x.
+        low, high: bounds of x; infinite without one.
+        density: log density of x, a spline over the prior; it is exact for a normal or uniform prior.
     """
 
     is_log: bool
@@ -68,11 +68,11 @@ def _coordinate(prior: Prior) -> Coordinate:
     lower, middle, upper = scaled(quantiles[-3:])
     spread = 0.5 * (upper - lower)
     low, high = ((scaled(side) - middle) / spread for side in _bounds(prior))
-    # All at once and before some are left out: a prior of another scale finds its programs compiled.
+    # All quantiles are evaluated before some are removed: with arrays of equal shape, all priors share the compiled programs.
     values = np.asarray(prior.log_density(jnp.asarray(quantiles[:_KNOTS])), dtype=float) + np.log(spread)
     x = (scaled(quantiles[:_KNOTS]) - middle) / spread
     values += scaled(quantiles[:_KNOTS]) if is_log else 0.0
-    # Where quantiles lie close together, the slopes between them are rounding.
+    # If quantiles are close together, the slopes between them are rounding errors.
     is_apart = np.concatenate([[True], np.diff(np.maximum.accumulate(x)) > _APART])
     return Coordinate(
         is_log, float(middle), float(spread), float(low), float(high), CubicSpline(x[is_apart], values[is_apart])
@@ -84,13 +84,13 @@ class Box:
 
     Arguments:
         priors: of the parameters, by name.
-        flat: names of those whose prior gives bounds and scale alone, and counts as equally dense everywhere.
-        limits: least and largest value of θ that is possible, by name, where a prior reaches further.
+        flat: names of the parameters with a constant density; their priors give only the bounds and the scale.
+        limits: least and largest possible value of θ, by name; they limit the box if a prior exceeds them.
 
     Attributes:
         priors, limits: of the parameters, by name.
-        names: of the parameters, P of them.
-        low, high: bounds of x, (P,); infinite where there is none.
+        names: of the P parameters.
+        low, high: bounds of x, (P,); infinite without one.
     """
 
     def __init__(
@@ -107,12 +107,12 @@ class Box:
             np.asarray([(c.middle, c.spread, c.low, c.high) for c in coordinates]).reshape(-1, 4).T
         )
         possible = np.asarray([self.limits.get(name, (-np.inf, np.inf)) for name in self.names]).reshape(-1, 2).T
-        # Zero and what is less have no logarithm.
+        # Only positive numbers have a logarithm.
         with np.errstate(divide="ignore"):
             lower, upper = self.x(np.where(self._is_log, np.maximum(possible, 0.0), possible))
         self.low, self.high = np.maximum(self.low, lower), np.minimum(self.high, upper)
         densities = [_level() if n in flat else c.density for n, c in zip(priors, coordinates, strict=True)]
-        # All in one table: one by one they would take longer than all else between simulations.
+        # One table for all densities: separate evaluations would take longer than all other work between simulations.
         self._last = np.asarray([d.c.shape[1] - 1 for d in densities], dtype=int)
         most = int(self._last.max(initial=0)) + 2
         self._knots, self._cubics = np.full((len(densities), most), np.inf), np.zeros((len(densities), most - 1, 4))
@@ -131,25 +131,25 @@ class Box:
         return (plain - self._middle) / self._spread
 
     def quantiles(self, columns: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """x of the given columns (indices) below which these shares of their priors lie, (B, len(columns))."""
+        """x of the given columns (indices) at these quantile levels of their priors, (B, len(columns))."""
         found = [self._quantile(int(k), tuple(s)) for k, s in zip(columns, shares.T, strict=True)]
         theta = np.tile(self._middle, (len(shares), 1))
         theta[:, columns] = np.stack(found, axis=1)
         return self.x(np.where(self._is_log & (theta <= 0), 1.0, theta))[:, columns]
 
     def log_density(self, x: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Log prior density in x of the given columns (indices), x of shape (B, P), result (B, len(columns))."""
+        """Log prior density in x of the given columns (indices); x has the shape (B, P), the result (B, len(columns))."""
         (a, b, c, d), along = self._pieces(x[:, columns], columns)
         return ((a * along + b) * along + c) * along + d
 
     def terms(self, x: np.ndarray, columns: np.ndarray) -> Terms:
-        """Log prior density in x, slope and curvature of the given columns, x of shape (P,), results (len(columns),)."""
+        """Log prior density in x, its slope and its curvature for the given columns; x: (P,), results: (len(columns),)."""
         (a, b, c, d), along = self._pieces(x[columns], columns)
         value, slope = ((a * along + b) * along + c) * along + d, (3 * a * along + 2 * b) * along + c
         return Terms(value, slope, np.maximum(-(6 * a * along + 2 * b), 0.0))
 
     def _pieces(self, x: Float[np.ndarray, "*B q"], columns: Int[np.ndarray, " q"]) -> tuple[Any, np.ndarray]:
-        """The cubics of the splines at x, highest power first, (4, *B, q), and how far after its knot each is, (*B, q)."""
+        """The cubics of the splines at x, highest power first, (4, *B, q), and the distance of x from its knot, (*B, q)."""
         knots = self._knots[columns]
         piece = np.clip((knots <= x[..., None]).sum(axis=-1) - 1, 0, self._last[columns])
         return np.moveaxis(self._cubics[columns, piece], -1, 0), x - knots[np.arange(len(columns)), piece]
@@ -161,7 +161,7 @@ class Box:
 
 
 def _level() -> "CubicSpline":
-    """The density of a coordinate that is equally dense everywhere."""
+    """The log density of a coordinate with a constant density."""
     from scipy.interpolate import CubicSpline
 
     return CubicSpline([-1.0, 1.0], [0.0, 0.0])
@@ -173,7 +173,7 @@ def _bounds(prior: Prior) -> tuple[float, float]:
 
 
 def _is_logarithmic(prior: Prior, median: float) -> bool:
-    """Whether a prior lives on a logarithmic scale: positive, without an upper bound, and without density at zero."""
+    """Whether a prior has a logarithmic scale: log-uniform, or positive, without an upper bound and without density at zero."""
     if prior.name.lower().replace("_", "") == "loguniform":
         return True
     low, high = prior.bounds

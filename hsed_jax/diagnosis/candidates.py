@@ -1,4 +1,4 @@
-"""From a study and a campaign to the large model that a diagnosis works on: the study's model with every candidate in it."""
+"""The large model of a diagnosis: the model of a study with every candidate effect, for a campaign."""
 
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false
@@ -43,18 +43,18 @@ from hsed_jax.study.laboratories import driver_of
 from hsed_jax.study.plan import ORDER, check_added
 from hsed_jax.study.specimens import effects_of
 
-# Experiments that could be made, to look for one that tells rivals apart.
+# Number of candidate experiments, among which the diagnosis searches for the one that separates rivals best.
 _CANDIDATES = 32
-# More than any noise, in units of an output.
+# Larger than any noise, in units of an output; its reciprocal is smaller than any noise.
 _ANY_NOISE = 1e12
-# Of cycles that stand for a history that was not measured.
+# Number of reversals of the cycles that replace a history without a measurement.
 _REVERSALS = 21
-# The conditions are padded to a multiple of this, so that campaigns of similar size share a compiled program.
+# The number of conditions is padded to a multiple of this, so that campaigns of similar size share a compiled program.
 _PADDING = 16
 
 
 def applicable(built: Built, campaign: Campaign) -> list[str]:
-    """Effects of the catalogue that the model lacks and the measurements could show."""
+    """Effects of the catalogue that the model does not have and that the measurements can show."""
     has_time = campaign.has_time or not built.experiments.component_test or built.simulation.grid is None
     is_shaken = "ground_acceleration" in drivers(built, campaign)
     quantities = built.study.observe == "quantities"
@@ -71,26 +71,26 @@ def applicable(built: Built, campaign: Campaign) -> list[str]:
 
 
 def drivers(built: Built, campaign: Campaign) -> list[str]:
-    """Channels that measure what drives the structure, or what would."""
+    """Channels that measure the excitation of the structure; without any, the channel that would measure it."""
     return [name for name in campaign.channels if is_driver(name) and name != "time"] or [driver_of(built.study)]
 
 
 def with_effects(built: Built, effects: Sequence[str], forms: Mapping[str, str] | None = None) -> Study:
-    """The study with these effects added to its model, each with the priors of the catalogue, and its scales as they are.
+    """The study with these effects added to its model, with the priors of the catalogue and with unchanged scales.
 
     Arguments:
         built: the study.
         effects: names of effects.
-        forms: labels of their forms, where these are not the default ones.
+        forms: labels of their forms, unless these are the default forms.
 
     Raises:
-        UserError: there is no such effect, the model has it, or it stands twice.
+        UserError: an effect does not exist, the model has it already, or it occurs twice.
     """
     study = built.study
     check_added(study, effects, built.mechanics.naming)
     added = {name: _said(built, name, (forms or {}).get(name)) for name in effects}
     model = study.model.model_copy(update={"effects": {**study.model.effects, **added}})
-    # Ready to be improved again: what was chosen by hand this time is for the diagnosis to find next time.
+    # The study can be improved again: its settings of the improvement are reset, and the next diagnosis selects the effects.
     steps = [step for step in ORDER if step in study.steps or (step == "diagnose" and "improve" in study.steps)]
     larger = study.model_copy(update={"model": model, "steps": steps, "improve": ImproveEntry()})
     scales = Built(larger, built.campaign).simulation.scales
@@ -98,7 +98,7 @@ def with_effects(built: Built, effects: Sequence[str], forms: Mapping[str, str] 
 
 
 def _said(built: Built, effect: str, label: str | None) -> dict[str, str]:
-    """A form as a study says it."""
+    """A form in the format of a study."""
     form = (
         default_form(built.mechanics.catalogue[effect])
         if label is None
@@ -128,15 +128,15 @@ def problem_of(
     Arguments:
         built: the study.
         campaign: its experiments.
-        effects: candidates; by default all that apply.
-        cube: inputs of experiments that could be made, in the unit cube, (c, d); by default some that fill it.
+        effects: candidates; by default all applicable effects.
+        cube: inputs of candidate experiments in the unit cube, (c, d); by default points that fill the cube.
         watch: follows the fits.
-        known: parameters of the model as it is, by name, SI, as a calibration found them.
-        forms: the one form, by its label, that a candidate may have; by default any that its law can have.
-        apart: how far specimens are from their population, training experiments first; it stays so.
-        opened: parameters of the model whose estimates lean on a bound of their prior that is no physical limit: the bound is
-            open here, so that no effect is named to get round it.
-        samples: to which longer records of component tests are thinned; by default as the study says.
+        known: parameters of the first model (without candidates) from a calibration, by name, SI.
+        forms: by effect, the label of its only allowed form; by default all forms of an effect are allowed.
+        apart: differences of the specimens from their population, training experiments first; they are constant.
+        opened: parameters of the model whose estimates are on a bound of their prior that is not a physical limit.  The bound
+            is removed here, so that no effect is named because of it.
+        samples: number of samples to which longer records of component tests are thinned, if the setting of the study is larger.
     """
     if samples is not None and samples < built.study.measurements.samples:
         fewer = built.study.measurements.model_copy(update={"samples": samples})
@@ -169,7 +169,7 @@ def problem_of(
     kept = _kept(large, (*train, *test))
     batch = Batch(large.simulation.simulator, large.inference.observation, order, conditions, parts, used, kept)
     predictions = batch if apart is None else BatchApart(batch, apart.across(order, size))
-    # A prior may reach beyond what is possible, and another effect is what lies there.
+    # A prior may exceed the physical limits of a parameter: values beyond them belong to another effect.
     priors = free | {name: without_bounds(free[name]) for name in opened}
     box = Box(priors, limits={name: (known.lower, known.upper) for name, known in declared.items()})
     models = NestedModels(predictions, box, neutral, watch)
@@ -210,14 +210,14 @@ def problem_of(
 
 
 def _without_time(built: Built, campaign: Campaign) -> list[str]:
-    """What seconds are where there are none."""
+    """A note on the meaning of a second in a component test without time."""
     if campaign.has_time or not built.experiments.component_test:
         return []
     return ["the record has no time: in delays and drifts of the test rig, a second stands for a row"]
 
 
 def _visited(large: Built, experiments: Sequence[Experiment], campaign: Campaign) -> Range | None:
-    """What the specimens went through: the measured elongation of the longest path, or else cycles to what is characteristic."""
+    """The range of the data: the measured elongation with the longest path, or cycles up to the characteristic elongation."""
     if not isinstance(large.simulation.simulator, Simulator):
         return None
     scales, has_time = large.simulation.scales, campaign.has_time or not large.experiments.component_test
@@ -235,7 +235,7 @@ def _visited(large: Built, experiments: Sequence[Experiment], campaign: Campaign
 
 
 def _forms(large: Built, effect: str, order: tuple[str, ...], only: str | None) -> dict[str, FormColumns]:
-    """The forms that a candidate may have, in a model with these parameters."""
+    """The allowed forms of a candidate, in a model with these parameters."""
     kind = large.mechanics.catalogue[effect]
     found: dict[str, FormColumns] = {}
     for label, form in large.mechanics.naming.forms(effect).items():
@@ -266,7 +266,7 @@ def _neutral(free: Mapping[str, Prior], declared: Mapping[str, Parameter]) -> np
 
 
 def _kept(large: Built, experiments: Sequence[Experiment]) -> Int[np.ndarray, " K"]:
-    """The outputs that any experiment has: of histories those to the end of the longest, and not what a program is padded to."""
+    """Indices of the outputs that an experiment has: samples after the longest record are only padding of the program."""
     observation = large.inference.observation
     count = len(observation.groups)
     if not isinstance(observation, Histories):
@@ -281,7 +281,7 @@ def _measured(
     values, used, gaps = (np.asarray(table)[rows][:, kept] for table in (data.values, data.weights, data.gaps))
     groups = np.asarray(large.inference.observation.groups)[kept]
     measured = Measured(values, used > 0, gaps, groups, large.observed.errors, 0.0)
-    # Where no noise is declared, that of a history is what its record shows, and a number alone shows none.
+    # Without a declared noise, the noise of a history is estimated from its record; a single quantity gives no estimate.
     declared = ~np.isnan(measured.declared)
     is_history = np.bincount(groups, minlength=len(large.observed.errors)) >= HISTORY
     unknown = np.where(is_history, _ANY_NOISE, 1 / _ANY_NOISE)
@@ -304,7 +304,7 @@ def _measured(
 def _candidates(
     built: Built, campaign: Campaign, cube: np.ndarray | None
 ) -> tuple[list[dict[str, float]], Conditions | None]:
-    """Inputs of experiments that could be made, in declared units, and their conditions; none without an excitation of inputs."""
+    """Inputs of candidate experiments, in declared units, and their conditions; none if the inputs give no excitation."""
     space = built.experiments.space
     excitation = built.experiments.excitation
     if (
@@ -328,7 +328,7 @@ def _candidates(
 
 
 def _times(excitation: AbstractExcitation, recorded: np.ndarray) -> np.ndarray:
-    """When an experiment that could be made would be sampled: as the recorded ones, or until its own end."""
+    """Sample times of a candidate experiment: those of its own imposed elongation, or else those of the records."""
     own = Timeline(None, len(recorded) - 1)
     if excitation.declared.kind.protocol == "displacement":
         return np.asarray(times(excitation.step_length(own), 1, own.samples))

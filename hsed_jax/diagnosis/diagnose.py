@@ -1,4 +1,4 @@
-"""Which physical effect is missing, how large it is, how sure that is, and what would tell it from its look-alikes."""
+"""The missing physical effect, its size, its probability, and the experiment that separates it from its look-alikes."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -23,19 +23,19 @@ from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_e
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
 
-# Draws of the posterior of a model that is told of.
+# Number of posterior draws of a reported model.
 _DRAWS = 240
-# Draws that must count before a sample is believed.
+# Least effective number of draws of a usable sample.
 _ENOUGH = 30
-# Training experiments that a search looks at: all judge what it has found.
+# Largest number of training experiments in a search; all training experiments judge its result.
 _MOST_EXPERIMENTS = 6
-# Effects that are shown while a search goes on.
+# Number of effects that are shown during a search.
 _SHOWN = 5
-# An effect with this probability is likely: where it is not named, it is said why.
+# An effect with this probability is likely: if it is not named, the report gives the reason.
 _LIKELY = 0.2
-# An explanation with this weight is told.
+# Least weight of a reported explanation.
 _COUNTS = 0.01
-# Nats between two optima of the model as it is that are worth a word.
+# Least difference between two optima of the first model (without candidates) that is reported [nats].
 _APART = 2.0
 
 
@@ -54,8 +54,8 @@ def diagnose(
 
     Arguments:
         problem: the measurements and the large model.
-        report: called with what is being done, for a progress bar.
-        lead: called with what leads after each round, in the words of `summary.json`.
+        report: receives the current activity, for a progress bar.
+        lead: receives the best result after each round, in the format of `summary.json`.
     """
 
     is_explained = partial(noise_explains, problem)
@@ -66,7 +66,7 @@ def diagnose(
         search.on_round = lambda: lead(_leading(problem, search))
         search.run()
     else:
-        # A few experiments tell what to look at, and all of them what it is worth.
+        # A search on a few experiments selects the models, and all experiments judge them.
         coarse = _started(few, report)
         coarse.on_round = lambda: lead(_leading(few, coarse))
         coarse.run()
@@ -90,12 +90,12 @@ def diagnose(
     plain = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
     before = plain if not best.effects else "ambiguous" if rivals else "missing_effects"
     widths = prior_widths(search, models, best, before, plain, partial(_does_the_same, probe, dict(called), best))
-    # With other priors of the effects another explanation leads: the data alone do not decide between both.
+    # With other priors of the effects, another explanation leads: the data alone do not decide between the two.
     leaders = [
         search.model(one.leader)._replace(probability=best.probability) for one in widths if one.leader is not None
     ]
     rivals = rivals or leaders[:1]
-    # A clear winner still has a runner-up to be told from.
+    # Without a rival, the experiment separates the best model from the most probable other model.
     information = separation(problem, search, [best, *(rivals or [m for m in models if m is not best][:1])])
     look_alikes = look_alikes_of(problem, search, best, models) if best.effects else []
     chosen, worth, average, loading = None, None, None, None
@@ -145,7 +145,7 @@ def diagnose(
 
 
 def _does_the_same(probe: Probe | None, called: dict[Set, Set], best: Model, model: Model) -> bool:
-    """Whether two models differ by their formulas only; `called` keeps what models were called."""
+    """Whether two models differ only in their formulas; `called` stores the names of the models by their behaviour."""
     if probe is None:
         return False
     for one in (best, model):
@@ -155,7 +155,7 @@ def _does_the_same(probe: Probe | None, called: dict[Set, Set], best: Model, mod
 
 
 def _rename(probe: Probe, search: Search) -> None:
-    """Name the effects of the best set for what they do, where effects of that name explain as much."""
+    """Name the effects of the best set after their behaviour, if the effects of these names explain nearly as much."""
     best = search.model(search.best)
     traits = probe.traits(best)
     for effect in sorted(best.effects):
@@ -165,7 +165,7 @@ def _rename(probe: Probe, search: Search) -> None:
 
 
 def _explanations(search: Search, models: list[Model], best: Model, called: Mapping[Set, Set]) -> list[Explained]:
-    """The models that count, those that do the same as one, the most probable first."""
+    """The models with a relevant weight, the most probable first; models with the same behaviour are one explanation."""
     groups: dict[Set, list[Model]] = {}
     for model in models:
         groups.setdefault(called.get(model.effects, model.effects), []).append(model)
@@ -192,7 +192,7 @@ def _started(problem: Problem, report: Callable[[str], None]) -> Search:
 
 
 def _leading(problem: Problem, search: Search) -> dict[str, Any]:
-    """What leads in a search that goes on: the best set, and the probabilities of the models so far."""
+    """The current result of a running search: the best set, and the probabilities of the effects."""
     models, best = search.all(), search.model(search.best)
     before = search.model(())
     ranking: list[dict[str, Any]] = [
@@ -220,7 +220,7 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
 
 
 def _probability(effect: str, models: list[Model], called: Mapping[Set, Set]) -> float:
-    """Probability that an effect takes part, over all models by what they are called."""
+    """Probability of an effect: the sum over all models that contain it by their names in `called`."""
     return min(sum(m.probability for m in models if effect in called.get(m.effects, m.effects)), 1.0)
 
 
@@ -234,10 +234,11 @@ def _ranking(
         if effect in best:
             shown[effect] = by_set[best], by_set.get(best - {effect}) or search.model(best - {effect})
             continue
-        # In place of what the best model has, else (or where that is more probable than the best) beside it.
+        # The most probable model with the effect and no more effects than the best model, or the best model with this effect
+        # added if that is more probable than the best model.
         options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
         if not options:
-            continue  # its predicted gain is less than others', so it was not fitted
+            continue  # it was not fitted, because its predicted gain is smaller than that of others
         instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
         beside = by_set.get(best | {effect})
         if beside is None or beside.probability <= by_set[best].probability:
@@ -269,20 +270,20 @@ def _ranking(
                 reason=_reason(search, model, by_set[best]) if probability >= _LIKELY and effect not in best else None,
             )
         )
-    # Named effects come first, by what the model would lose without them.
+    # Named effects come first, sorted by the evidence that the model loses without them.
     return sorted(found, key=lambda c: (c.effect not in best, -c.log_evidence_gain if c.effect in best else -c.probability,
                                         -c.log_evidence_gain))  # fmt: skip
 
 
 def _gains(search: Search, models: Sequence[Model]) -> dict[Set, dict[str, float]]:
-    """By how many nats sets that were scored predict what is left out better than the model as it is."""
+    """Gain of the scored sets in the log density of held-out data over the first model, by set [nats]."""
     scored = [m.effects for m in models if m.probability > 0]
     gains = zip(scored, search.gains(scored, frozenset()), strict=True)
     return {s: {"gain": g.total, "standard_error": g.standard_error} for s, g in gains if math.isfinite(g.total)}
 
 
 def _reason(search: Search, model: Model, best: Model) -> str | None:
-    """Why a model with a likely effect is not the one that is named."""
+    """The reason why a model with a likely effect is not named."""
     if not model.effects > best.effects:
         odds = best.probability / max(model.probability, 1e-300)
         return f"{' + '.join(sorted(best.effects - model.effects))} in its place is {odds:.2g} times as probable"
@@ -290,7 +291,7 @@ def _reason(search: Search, model: Model, best: Model) -> str | None:
 
 
 def _estimate(problem: Problem, effect: str, model: Model, sample: Sampled | None) -> dict[str, dict[str, Any]]:
-    """Mean, sd and quantiles of the parameters of an effect's form, from draws or else from the curvature at the fit."""
+    """Mean, sd and quantiles of the parameters of an effect in its form, from draws or else from the Hessian at the fit."""
     found: dict[str, dict[str, Any]] = {}
     form, kind = problem.effects[effect][model.forms[effect]].form, problem.catalogue[effect]
     in_units = form.physical(kind)
@@ -317,7 +318,7 @@ def _moments(problem: Problem, fit: FitState, sample: Sampled | None, column: in
 
 
 def _deviation(problem: Problem, fit: FitState, column: int) -> float:
-    """Sd of a parameter by linear propagation of the curvature, no wider than its prior."""
+    """Change of a parameter over one posterior sd of its coordinate (from the Hessian), at most over one sd of its prior."""
     _, covariance = gaussian(fit)
     place = int(np.flatnonzero(fit.free == column)[0])
     step = min(math.sqrt(covariance[place, place]), 1.0)
@@ -328,7 +329,7 @@ def _deviation(problem: Problem, fit: FitState, column: int) -> float:
 
 
 def _opened(problem: Problem, fit: FitState) -> dict[str, float]:
-    """Where the model as it is goes beyond the bounds that the calibration leans on, SI."""
+    """Estimates of the first model for the parameters whose prior bounds are removed, SI."""
     theta = problem.models.theta(fit.x, fit.submodel)
     return {name: float(theta[problem.names.index(name)]) for name in problem.opened}
 
@@ -354,12 +355,12 @@ def _prediction(problem: Problem, fit: FitState, sigma: np.ndarray) -> Predictio
 
 
 def noise_explains(problem: Problem, fit: FitState) -> bool:
-    """Whether what a fit leaves is no more than the noise; False where nothing is known of that."""
+    """Whether the noise explains the residual of a fit; False if the noise is unknown."""
     return is_noise(_p_value(problem, fit), problem.train.error(fit.predicted), problem.train.noise)
 
 
 def _p_value(problem: Problem, fit: FitState) -> float | None:
-    """Probability of the residual from the noise alone: the declared one, or else the residual's own size."""
+    """Probability that the noise alone causes the residual of a fit (`discrepancy_p_value`); None if the noise is unknown."""
     train = problem.train
     is_declared = ~np.isnan(train.declared)
     sigma = train.sigma(np.where(is_declared, train.declared, 1.0), fit.predicted)

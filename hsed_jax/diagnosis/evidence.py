@@ -1,8 +1,8 @@
 r"""The evidence of a fit, $Z = \int e^{-\varphi(x)}\,dx$ over the box: by Laplace's method, and by importance sampling.
 
-Laplace's method expands φ to second order at the end of the fit and integrates the Gaussian over the box, which matters where an
-amplitude rests on its bound: half of the Gaussian, or its tail, lies beyond.  Importance sampling
-(`hsed_jax.inference.importance`) has no such assumption and gives the posterior's moments as well.
+Laplace's method expands φ to second order at the end of the fit and integrates the Gaussian over the box.  The limits of the box
+matter if an amplitude is on its bound: half of the Gaussian or more is then outside.  Importance sampling
+(`hsed_jax.inference.importance`) does not need this approximation and also gives the moments of the posterior.
 
 Source: Tierney & Kadane 1986.
 """
@@ -21,7 +21,7 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.importance import Proposal, flattened, weigh
 
 _FLOOR = 1e-6
-# Fewer effective draws than this, even with flattened weights, give no interval.
+# With fewer effective draws than this, even after the weights are flattened, a sample gives no interval.
 _TELLING = 8
 
 
@@ -32,8 +32,9 @@ class Sampled(NamedTuple):
         log_evidence: log Z.
         effective: effective number of draws.
         thetas: draws, SI, (S, P).
-        weights: of the draws, summing to one, (S,); flattened if only a few draws have weight, so that an interval is too wide
-            rather than too narrow.  If even fewer have weight, the draws are from the Gaussian, with equal weights.
+        weights: of the draws, summing to one, (S,).  If only a few draws have weight, the weights are flattened: an interval is
+            then too wide rather than too narrow.  If even fewer have weight, draws of a Student t around the fit, clipped to
+            the bounds, replace them, with equal weights.
     """
 
     log_evidence: float
@@ -57,9 +58,9 @@ class Sampled(NamedTuple):
 
 
 def laplace(fit: FitState, models: NestedModels) -> float:
-    """log Z of a fit; −∞ where its simulation diverged.
+    """log Z of a fit; −∞ if its simulation diverged.
 
-    A coordinate that the slope of φ holds at its bound contributes the integral of its own tail, the others their Gaussian.
+    A coordinate that the gradient of φ holds at its bound contributes the integral of its tail; the others form a Gaussian.
     """
     if not np.isfinite(fit.cost):
         return -np.inf
@@ -89,18 +90,18 @@ def laplace(fit: FitState, models: NestedModels) -> float:
 
 
 def sample_posterior(fit: FitState, models: NestedModels, target: Target, draws: int, seed: int) -> Sampled:
-    """log Z and a weighted sample of a fit's posterior.
+    """log Z and a weighted sample of the posterior of a fit.
 
     Arguments:
-        fit: where it is.
+        fit: the fit state.
         models: of the fit.
-        target: what was fitted.
-        draws: to weigh, besides some for every parameter.
+        target: the data of the fit.
+        draws: least number of draws, to which 40 are added per free parameter.
         seed: of the random numbers.
     """
     low, high = models.box.low[fit.free], models.box.high[fit.free]
     center, covariance = gaussian(fit)
-    # A coordinate nobody holds is spread over its box, and no further.
+    # The proposal of a coordinate without information has at most half the width of the box as its standard deviation.
     width = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (high - low), 10.0)
     shrink = np.minimum(1.0, width / np.sqrt(np.diag(covariance)))
     proposal = Proposal(np.clip(center, low, high), shrink[:, None] * np.linalg.cholesky(covariance))
@@ -117,7 +118,7 @@ def sample_posterior(fit: FitState, models: NestedModels, target: Target, draws:
         weights = flattened(np.log(found.weights), len(fit.free))
     points = found.points
     if not 1 / np.sum(weights**2) > _TELLING or not np.isfinite(found.log_evidence):
-        # With many active bounds hardly any draw lies within all of them.  The Gaussian, clipped to the bounds, replaces them.
+        # With many active bounds hardly any draw is within all of them.  Clipped draws of the first proposal replace the draws.
         points = np.clip(proposal.draw(np.random.default_rng(seed), draws), low, high)
         weights = np.full(draws, 1 / draws)
     thetas = np.stack([models.theta(_at(fit, point), fit.submodel) for point in points])
@@ -125,7 +126,7 @@ def sample_posterior(fit: FitState, models: NestedModels, target: Target, draws:
 
 
 def gaussian(fit: FitState) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and covariance of exp(−φ) to second order."""
+    """Centre and covariance of exp(−φ), expanded to second order."""
     covariance = np.linalg.inv(fit.hessian + _FLOOR * np.eye(len(fit.free)))
     covariance = 0.5 * (covariance + covariance.T)
     return fit.x[fit.free] - covariance @ fit.gradient, covariance
@@ -147,8 +148,8 @@ def _at(fit: FitState, point: np.ndarray) -> np.ndarray:
 
 
 def _log_interval(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """log(Φ(high) − Φ(low)), also far in a tail."""
-    # By symmetry the interval is put into the lower tail, where the logarithm of Φ is accurate.
+    """log(Φ(high) − Φ(low)), accurate also far in a tail."""
+    # By symmetry, the interval is moved to the lower tail, where the logarithm of Φ is accurate.
     flip = low > 0
     a, b = np.where(flip, -high, low), np.where(flip, -low, high)
     upper, lower = log_ndtr(b), log_ndtr(a)

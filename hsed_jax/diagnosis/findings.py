@@ -1,4 +1,4 @@
-"""What a diagnosis found, and how it shows itself."""
+"""The results of a diagnosis, and their texts and tables."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -15,31 +15,30 @@ from hsed_jax.physics.scales import Scales
 from hsed_jax.tables import Table, Tabular, cell, odds
 
 if TYPE_CHECKING:
-    # A report reads findings and fits nothing.
+    # A report reads these results and makes no fits.
     from hsed_jax.diagnosis.averaging import Averaged
     from hsed_jax.diagnosis.loadings import Loading
 
-# Of so many likely effects it is said why they are not named.
+# Number of likely effects for which the notes give the reason why they are not named.
 _SHOWN = 3
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect of the catalogue, as the measurements see it.
+    """One effect of the catalogue, with its support by the measurements.
 
     Attributes:
         effect, family: of the catalogue.
-        probability: that it takes part, over all models that were looked at.
+        probability: sum over all considered models that contain the effect.
         log_evidence_gain: of the model with it over the same model without it.
-        rao_statistic, rao_p_value: Rao's score test of its amplitude in the model as it is.
-        estimate: of its parameters in both their forms: mean, sd, 5 % and 95 % quantile, unit.
-        error_train, error_test: normalised errors of the model with it; test: of experiments that were not used, the test
-            split or, without one, experiments left out in turn; infinite where a simulation fails.
-        reason: why it is not named though it is likely; None where it is named, or unlikely.
-        score: by how many nats the model with it predicts what is left out better than the model as it is (`gain`), with the
-            `standard_error`; None where it was not scored.
-        form: the one of its forms in which all of this is said, the most probable one or, under a wrong model, the one that
-            predicts best; None where it has but one.
+        rao_statistic, rao_p_value: Rao's score test of its amplitude in the first model (without candidates).
+        estimate: its parameters, dimensionless and in physical units: mean, sd, 5 % and 95 % quantile, unit.
+        error_train, error_test: normalised errors of the model with it.  The test error is that of the test split or, without
+            one, of experiments left out in turn; it is infinite if a simulation fails.
+        reason: why it is not named although it is likely; None if it is named or unlikely.
+        score: gain in the log density of held-out data over the first model [nats] (`gain`), with the `standard_error`;
+            None if it was not scored.
+        form: label of the form of these results, selected by `hsed_jax.diagnosis.fits.Fits.top`; None if the label is empty.
         forms: probabilities of its forms.
     """
 
@@ -59,26 +58,26 @@ class Candidate:
 
     @property
     def called(self) -> str:
-        """The name of the effect, and what it is where its amplitude is negative."""
+        """The name of the effect, with the name of its opposite if the amplitude is negative."""
         return called(self.effect, {name: size["mean"] for name, size in self.estimate.items() if "mean" in size})
 
     def summary(self) -> dict[str, Any]:
-        """As in `summary.json`; what is not finite, or not there, is absent."""
+        """As in `summary.json`; values that are missing or not finite are omitted."""
         found = {k: v for k, v in vars(self).items() if v is not None and v != {}}
         return {k: v for k, v in found.items() if not isinstance(v, float) or math.isfinite(v)}
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What an effect is to the specimens.
+    """The relation of an effect to the specimens.
 
     Attributes:
         effect: of the catalogue.
-        level: the column that tells the specimens apart.
-        verdict: `population` (all have it), `specimens` (those in `members` do, the others do not) or `scatter`.
+        level: the column that identifies the specimens.
+        verdict: `population` (all specimens have it), `specimens` (only those in `members` have it) or `scatter`.
         probability: of the verdict.
-        members: that have it.
-        of: by member mean, sd, 5 % and 95 % quantile of its size by itself, dimensionless, and the `probability` that it has it.
+        members: the specimens that have it.
+        of: by specimen, mean, sd, 5 % and 95 % quantile of its own size, dimensionless, and the `probability` of the effect.
     """
 
     effect: str
@@ -90,7 +89,7 @@ class Judgement:
 
     @property
     def sentence(self) -> str:
-        """In words."""
+        """The judgement in words."""
         said = {
             "population": f"is of the population: all {len(self.of)} of {self.level} have it",
             "specimens": f"is of {self.level} {' and '.join(self.members) or 'few'} only, {len(self.members)} of {len(self.of)}",
@@ -105,14 +104,14 @@ class Judgement:
 
 @dataclass(frozen=True)
 class Explained:
-    """Models that do the same, whatever formulas fitted.
+    """Models with the same behaviour, whatever their formulas.
 
     Attributes:
-        effects: what they are called.
-        forms: of the one that predicts best.
-        weight: of all of them.
-        error_test: of that one, as of a `Candidate`.
-        score: of that one, as of a `Candidate`.
+        effects: names of the effects by their behaviour.
+        forms: of the representative model: the named model, or else the most probable one.
+        weight: sum over all these models.
+        error_test: of the representative model, as in a `Candidate`.
+        score: of the representative model, as in a `Candidate`.
     """
 
     effects: Sequence[str]
@@ -130,16 +129,16 @@ class Explained:
 
 @dataclass(frozen=True)
 class PriorWidth:
-    """What the verdict is where the priors of the named effects (without one, of all candidates) have another width.
+    """The verdict with another width of the priors of the named effects; without a named effect, of all candidates.
 
     Attributes:
-        width: times the width of the priors.
-        verdict: as of a diagnosis.
-        effects: that are named.
-        log_evidence_gain: of each named effect (without one, of the candidate of most evidence), at this width.
-        log_evidence_gain_before: the same with the priors as they are.
-        is_same: whether verdict and effects are those with the priors as they are.
-        leader: effects of the explanation that then leads by the demands of a verdict; None without one.
+        width: factor on the width of the priors.
+        verdict: as in a diagnosis.
+        effects: the named effects.
+        log_evidence_gain: of each named effect at this width; without one, of the candidate with the largest evidence.
+        log_evidence_gain_before: the same with the original priors.
+        is_same: whether verdict and effects are the same as with the original priors.
+        leader: effects of the explanation that meets the conditions of a verdict only at this width; None without one.
     """
 
     width: float
@@ -157,7 +156,7 @@ class PriorWidth:
 
     @property
     def sentence(self) -> str:
-        """What the width does to the verdict."""
+        """The influence of the width on the verdict."""
         gains = ", ".join(
             f"{effect} {self.log_evidence_gain_before[effect]:.1f} to {gain:.1f}"
             for effect, gain in self.log_evidence_gain.items()
@@ -172,7 +171,7 @@ class PriorWidth:
         )
 
     def summary(self) -> dict[str, Any]:
-        """An entry of `diagnosis.prior_widths` in `summary.json`; a gain that is not finite is absent."""
+        """An entry of `diagnosis.prior_widths` in `summary.json`; gains that are not finite are omitted."""
         gains = {effect: gain for effect, gain in self.log_evidence_gain.items() if math.isfinite(gain)}
         return {
             "width": self.width,
@@ -186,33 +185,34 @@ class PriorWidth:
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Tabular):
-    """What is missing.
+    """The result of a diagnosis.
 
     Attributes:
         verdict: `adequate`, `missing_effects`, `ambiguous`, `unexplained` or `undecided`.
-        effects: the effects that are named, the most telling first.
-        ranking: all candidates, the most probable first.
-        look_alikes: groups of effects whose predictions differ by less than the noise, none of them excluded by the evidence.
+        effects: the named effects, in the order of decreasing log evidence gain.
+        ranking: the fitted candidates: first the named effects, then the others with the most probable one first.
+        look_alikes: groups of effects that can replace one another, because their predictions differ by less than the noise or
+            because they are rivals.
         next_experiment: inputs (in declared units) that best separate the rivals of an ambiguous verdict.
-        expected_log_bayes_factor: what that experiment is expected to tell [nats].
-        next_loading: the loading that separates the rivals of a component test best.
-        separation: the same for every candidate experiment, between the rivals or the two most probable models.
-        p_value, p_value_after: probability of the residual from the noise alone, before and with the named effects.
-        error, error_after: normalised errors (train, test), before and with the named effects.
+        expected_log_bayes_factor: of that experiment [nats].
+        next_loading: the loading that best separates the rivals of a component test.
+        separation: expected log Bayes factor of every candidate experiment, for the rivals or the two most probable models.
+        p_value, p_value_after: probability that the noise alone causes the residual, without and with the named effects.
+        error, error_after: normalised errors (train, test), without and with the named effects.
         noise_floor: of the training experiments.
-        parameters: of the law, before and with the named effects.
-        optimum: θ of the model with the named effects at its best fit, by name, SI: where an improvement starts.
+        parameters: of the law, without and with the named effects.
+        optimum: θ at the best fit of the model with the named effects, by name, SI; an improvement starts there.
         prediction: of the training experiments with the named effects.
-        scales: characteristic values that amplitudes of the candidates are relative to.
-        notes: sentences on how the diagnosis was made.
-        forms: labels of the forms of the named effects, where these are not the default ones.
-        averaged: predictions over all explanations of an ambiguous verdict; None of any other.
-        specimens: what effects are to the specimens, where the study has levels.
-        opened: parameters of the model as it is whose bounds were left open, since the calibration leans on them: where they
-            go then, SI.
-        explanations: the models that count by what they do, the most probable first.
-        behaviour: what the specimens do with the named effects, by numerical experiments.
-        prior_widths: what narrower and wider priors of the effects do to the verdict.
+        scales: characteristic values to which the amplitudes of the candidates are relative.
+        notes: sentences on the procedure of the diagnosis.
+        forms: labels of the forms of the named effects, unless these are the default forms.
+        averaged: average of the predictions over the explanations of an ambiguous verdict; None for any other verdict.
+        specimens: relation of the effects to the specimens, if the study has levels.
+        opened: estimates of the first model for the parameters whose prior bounds are removed, because their calibrated
+            values are on these bounds, SI.
+        explanations: the models with a relevant weight, grouped by their behaviour, the most probable first.
+        behaviour: of the specimens with the named effects, from numerical experiments.
+        prior_widths: influence of narrower and wider priors of the effects on the verdict.
     """
 
     verdict: str
@@ -271,17 +271,17 @@ class Diagnosis(Tabular):
         return content | {key: value for key, value in optional.items() if value is not None}
 
     def called(self, effect: str) -> str:
-        """The name of an effect, and what it is where its amplitude is negative."""
+        """The name of an effect, with the name of its opposite if the amplitude is negative."""
         return next((candidate.called for candidate in self.ranking if candidate.effect == effect), effect)
 
     @property
     def alternatives(self) -> list[list[str]]:
-        """The look-alikes as they are called."""
+        """The look-alikes, with the names of `called`."""
         return [[self.called(effect) for effect in group] for group in self.look_alikes]
 
     @property
     def is_explained(self) -> bool:
-        """Whether the noise explains what the named effects leave."""
+        """Whether the noise explains the residual of the model with the named effects."""
         return is_noise(self.p_value_after, self.error_after[0], self.noise_floor)
 
     @property
@@ -322,13 +322,13 @@ class Diagnosis(Tabular):
 
     @property
     def _beyond(self) -> str:
-        """Where the model goes when the bounds of priors are open."""
+        """The estimates of the first model after bounds of priors are removed."""
         values = " and ".join(f"{name} = {value:.4g}" for name, value in self.opened.items())
         return f"with the bounds open that the calibration leans on, the model as it is goes to {values}"
 
     @property
     def _of_priors(self) -> list[str]:
-        """What other priors do to the verdict: one sentence where they do nothing."""
+        """The influence of other priors on the verdict: one sentence if they do not change it."""
         if self.prior_widths and all(one.is_same for one in self.prior_widths):
             widths = " and ".join(one.words for one in self.prior_widths)
             return [f"the verdict stays the same with priors of the effects {widths}"]
@@ -336,8 +336,8 @@ class Diagnosis(Tabular):
 
     @property
     def _notes(self) -> list[str]:
-        """What effects are to the specimens, how the diagnosis was made, what explanations differ in, and why likely effects are
-        not named."""
+        """The notes: behaviour, specimens, removed bounds, priors, procedure, differences between explanations, next loading, and
+        the reasons why likely effects are not named."""
         between = [] if self.averaged is None else [self.averaged.sentence]
         does = self.behaviour.sentence
         return [
@@ -357,7 +357,7 @@ class Diagnosis(Tabular):
         return [candidate for candidate in self.ranking if candidate.reason is not None]
 
     def _instead(self, candidate: Candidate) -> str:
-        """What a likely effect does to the error, and why it is not named."""
+        """The influence of a likely effect on the error, and the reason why it is not named."""
         before, after = f"{self.error_after[1]:.3f}", f"{candidate.error_test:.3f}"
         if math.isinf(candidate.error_test):
             change = "cannot be simulated in the held-out experiments"

@@ -1,4 +1,4 @@
-"""A fit: what is fitted, of which model and from where, and where it is."""
+"""A fit: its data, its model, its start and its current state."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,13 +11,13 @@ from hsed_jax.inference.likelihood import whitened
 
 
 class Target(NamedTuple):
-    """What is fitted: measured values and their errors, SI, and the weights of several uses of the same experiments.
+    """The data of a fit: measured values and their errors, SI, and the weights of several uses of the same experiments.
 
     Attributes:
         values, sigma: (n, J).
-        weights: (M, n, J); a task says which of the M it fits.
-        memory: correlation of the noise with that of the sample before, (n, J).
-        samples: how many samples of its histories each use has to know of each experiment, (M, n); None for all.
+        weights: (M, n, J); a task selects one of the M uses.
+        memory: correlation of the noise of each sample with that of the previous sample, (n, J).
+        samples: number of samples of its histories that each use needs of each experiment, (M, n); None for all.
     """
 
     values: Float[np.ndarray, "n J"]
@@ -27,15 +27,15 @@ class Target(NamedTuple):
     samples: Int[np.ndarray, "M n"] | None = None
 
     def samples_of(self, use: int, rows: Int[np.ndarray, " r"]) -> Int[np.ndarray, " r"] | None:
-        """So many samples a use has to know of these experiments; None for all."""
+        """The number of samples that a use needs of these experiments; None for all."""
         return None if self.samples is None else self.samples[use][rows]
 
     def rows(self, use: int) -> Int[np.ndarray, " r"]:
-        """The experiments that a use has weights for."""
+        """Indices of the experiments that have a weight in a use."""
         return np.flatnonzero(self.weights[use].any(axis=1))
 
     def misfit(self, use: int, outputs: Float[np.ndarray, "... r J"]) -> Float[np.ndarray, "..."]:
-        """Half the weighted sum of squares of outputs of those experiments, SI."""
+        """Half the weighted sum of squares of the residual, for outputs of the experiments in `rows(use)`, SI."""
         rows = self.rows(use)
         residual = self.standardised(use, rows, outputs - self.values[rows])
         return np.asarray(0.5 * np.sum(residual**2, axis=(-2, -1)))
@@ -43,7 +43,7 @@ class Target(NamedTuple):
     def standardised(
         self, use: int, rows: Int[np.ndarray, " r"], difference: Float[np.ndarray, "... r J"]
     ) -> Float[np.ndarray, "... r J"]:
-        """√w times what is new in differences of outputs, SI, in units of their errors."""
+        """√w times the innovations (`whitened`) of differences of outputs, SI, in units of their errors."""
         used = self.weights[use][rows]
         return np.sqrt(used) * whitened((used > 0) * difference / self.sigma[rows], self.memory[rows])
 
@@ -52,15 +52,15 @@ class Submodel(NamedTuple):
     """One of the nested models.
 
     Attributes:
-        free: the free coordinates, (p,).
-        held: parameters of the large model where they are not free, (P,).
+        free: indices of the free coordinates, (p,).
+        held: values of the parameters of the large model that are not free, (P,).
     """
 
     free: Int[np.ndarray, " p"]
     held: Float[np.ndarray, " P"]
 
     def beside(self, more: Int[np.ndarray, " q"], held: Mapping[int, float]) -> "Submodel":
-        """The model with further coordinates free, and further parameters held."""
+        """The submodel with further free coordinates and further held parameters."""
         values = self.held.copy()
         for column, value in held.items():
             values[column] = value
@@ -72,11 +72,11 @@ class Task(NamedTuple):
 
     Attributes:
         submodel: the model.
-        start: where to start.
-        use: which of the target's weights to fit.
-        rivals: tasks of one number, if not negative, are starts of one fit: those that fall behind are given up.
-        known: a fit of the same model that ended at the start; its use has weights for these experiments, too.
-        stays: it is judged anew where it is, and goes no further.
+        start: the starting point.
+        use: index of the weights of the target.
+        rivals: tasks with the same number, if it is not negative, are starts of one fit; starts that fall behind are stopped.
+        known: a fit of the same model that ended at the start; its use has weights for the experiments of this task, too.
+        stays: whether a fit with a `known` fit is only evaluated at its start, without steps.
     """
 
     submodel: Submodel
@@ -89,17 +89,17 @@ class Task(NamedTuple):
 
 @dataclass
 class FitState:
-    """A fit, while it is made and afterwards.
+    """The state of a fit, during its iterations and afterwards.
 
     Attributes:
         submodel: the model.
-        x: where it is, (P,).
-        cost: φ there; infinite where the simulation diverged.
+        x: the current point, (P,).
+        cost: φ at this point; infinite if the simulation diverged.
         predicted: outputs of all experiments of the target, SI, (n, J); zero where the use has no weight.
         gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
-        slopes: derivatives of what is predicted, in the same coordinates, (p, n, J); nothing where they are too many to be kept.
-        mended: so many steps were made since derivatives were differences, each of which mended them; −1: they are of no use.
-        races: it is given up where it cannot catch up with other fits.
+        slopes: derivatives of the predictions in the same coordinates, (p, n, J); empty if they are too many to store.
+        mended: number of steps that updated the derivatives since the last finite differences; −1: the derivatives are invalid.
+        races: whether the fit is stopped if it cannot catch up with other fits.
     """
 
     submodel: Submodel
@@ -117,5 +117,5 @@ class FitState:
 
     @property
     def free(self) -> Int[np.ndarray, " p"]:
-        """Its free coordinates."""
+        """Indices of its free coordinates."""
         return self.submodel.free

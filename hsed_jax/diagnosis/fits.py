@@ -1,8 +1,8 @@
-r"""Fits of sets of effects, each effect in several forms, and what evidence and prediction say of them.
+r"""Fits of sets of effects, each effect in several forms, and the comparison of these fits by evidence and by score.
 
-The evidence of a set is the sum of those of its forms, which share its prior probability, $Z_S = \sum_f p(f)\,Z_f$: half of it
-belongs to the default form of each effect and half to the others alike.  So many forms buy nothing, and an effect is compared
-with another whatever formulas the two have.
+The evidence of a set is the sum over its forms, $Z_S = \sum_f p(f)\,Z_f$.  The forms of an effect share its prior probability:
+the default form has half of it, and the other forms have equal parts of the other half.  Adding forms therefore does not raise
+the probability of an effect, and two effects are compared independently of their formulas.
 """
 
 # SciPy comes without types.
@@ -23,15 +23,15 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Forms
 from hsed_jax.diagnosis.score import ODDS
 
-# A fit that another one shows to be improvable by more nats than this goes on from there.
+# A fit restarts at the point of another fit if this lowers its cost by more than this many nats.
 _CAUGHT = 0.1
-# An amplitude this close to its neutral value, in coordinates of order one, is none.
+# An amplitude this close to its neutral value, in coordinates of order one, counts as absent.
 _ABSENT = 1e-3
-# Another shape may make good what a form lacks of the best one of its set: so much of what that gains over an effect less.
+# Another shape may compensate for a deficit of this share of the gain of the best form over the best smaller set.
 _SHAPE = 0.5
-# Of choices that are judged with other errors so many, those that lead, are fitted again.
+# After a change of the errors, this many choices are fitted again: the ones with the largest evidence.
 _LEAD = 12
-# Forms this many nats below the best one of their set are given up.
+# Forms this many nats below the best form of their set are rejected.
 _HOPELESS = 8.0
 
 Set = frozenset[str]
@@ -40,16 +40,16 @@ Choice = frozenset[tuple[str, str]]
 
 
 class Model(NamedTuple):
-    """A set of effects, fitted in one form or several.
+    """A set of effects, fitted in one or several forms.
 
     Attributes:
         effects: the set.
-        forms: of each effect the form in which it is taken, by its label.
-        shares: of each effect the probabilities of its forms.
-        fit: where the fit of these forms ended.
+        forms: by effect, the label of its selected form.
+        shares: by effect, the probabilities of its forms.
+        fit: the fit state with the selected forms.
         log_evidence: log Z over the forms.
         log_posterior: log Z plus the log prior of the set.
-        probability: by what its forms predict; zero where none of them was scored.
+        probability: sum over its forms, from their scores; zero if none of them was scored.
     """
 
     effects: Set
@@ -62,7 +62,7 @@ class Model(NamedTuple):
 
 
 class Fits:
-    """What has been fitted.
+    """All fits so far.
 
     Arguments:
         models: the large model.
@@ -70,7 +70,7 @@ class Fits:
         effects: the forms of each candidate.
 
     Attributes:
-        probabilities: of the choices that were scored by what they predict.
+        probabilities: of the scored choices, from their scores.
     """
 
     def __init__(self, models: NestedModels, law: Int[np.ndarray, " p"], effects: Mapping[str, Forms]):
@@ -85,20 +85,20 @@ class Fits:
         return bool(self.of(effects))
 
     def of(self, effects: Set) -> list[Choice]:
-        """The forms of a set that were fitted."""
+        """The fitted forms of a set."""
         return [choice for choice in self._known if names_of(choice) == effects]
 
     def starts_of_law(self) -> Float[np.ndarray, "8 P"]:
-        """Points all over the priors of the law, without effects; the first is the neutral one."""
+        """Points spread over the priors of the law parameters, without effects; the first one is the neutral point."""
         return np.stack([self.models.neutral, *self._everywhere(self.law)[1:]])
 
     def set_law(self, fit: FitState) -> None:
-        """Take the fit of the model without effects."""
+        """Store the fit of the model without effects."""
         self._known[frozenset()] = fit
 
     def top(self, effects: Set) -> Choice:
-        """The forms in which a set that was fitted is taken: of those that predict as well as the best, the ones of fewest
-        parameters; where none was scored, those of most evidence."""
+        """The selected forms of a fitted set: of the forms that predict about as well as the best, those with the fewest
+        parameters; if none was scored, those with the largest evidence."""
         scored = {c: p for c in self.of(effects) if (p := self.probabilities.get(c, 0.0)) > 0}
         if not scored:
             return max(self.of(effects), key=self._worth)
@@ -106,16 +106,16 @@ class Fits:
         return min(alike, key=lambda choice: (len(self._known[choice].free), -scored[choice]))
 
     def likeliest(self, effects: Set, most: int) -> list[Choice]:
-        """The forms of a set that was fitted of most evidence, at most so many."""
+        """The forms of a fitted set with the largest evidence, at most `most` of them."""
         return sorted(self.of(effects), key=self._worth, reverse=True)[:most]
 
     def __getitem__(self, choice: Choice) -> FitState:
-        """The fit of a choice."""
+        """The fit state of a choice."""
         return self._known[choice]
 
     def leading(self, effects: Set, most: int) -> list[Choice]:
-        """The most probable forms of a set that was fitted, one of each driver and at most so many, as far as another shape may
-        make them the best."""
+        """The most probable forms of a fitted set, one for each combination of drivers and at most `most` of them.  Forms far
+        below the best form are omitted, because another shape cannot compensate for the difference."""
         worths = {choice: self._worth(choice) for choice in self.of(effects)}
         ranked = sorted(worths, key=lambda choice: -worths[choice])
         of_drivers: dict[Choice, Choice] = {}
@@ -127,11 +127,11 @@ class Fits:
         return [choice for choice in list(of_drivers.values())[:most] if worths[choice] >= least]
 
     def best(self, effects: Set) -> FitState:
-        """The fit of a set in the forms in which it is taken."""
+        """The fit state of a set with its selected forms."""
         return self._known[self.top(effects)]
 
     def model(self, effects: Set, log_prior: float) -> Model:
-        """A set that was fitted, over its forms."""
+        """The result for a fitted set, over its forms."""
         choices, top = self.of(effects), self.top(effects)
         worths = np.asarray([self._worth(choice) for choice in choices])
         total = float(np.asarray(logsumexp(worths)))
@@ -148,13 +148,13 @@ class Fits:
     def fit(
         self, target: Target, choices: Iterable[Choice], starts: Mapping[Choice, list[np.ndarray]] | None = None
     ) -> None:
-        """Fit what has not been fitted, from several starts: those that are given, or what is near."""
+        """Fit the choices that are not fitted yet, from the given starts or from points near earlier fits."""
         new = [choice for choice in choices if choice not in self._known and choice not in self._hopeless]
         self._fit_from(target, {choice: (starts or {}).get(choice) or self._starts(choice) for choice in new})
 
     def judge(self, target: Target, sets: Sequence[Set]) -> None:
-        """Judge sets with other errors, and fit the choices that lead then again, each from where it was; forms that are far
-        below others of their set are left."""
+        """Evaluate sets with other errors, and continue the fits of the leading choices from where they ended.  Forms far below
+        the best form of their set are rejected."""
         kept: list[Choice] = []
         for effects in sets:
             choices = self.of(effects)
@@ -171,12 +171,12 @@ class Fits:
         self._reconcile(target, lead)
 
     def look_again(self, target: Target, choices: Sequence[Choice]) -> None:
-        """Fit choices from points all over the priors of their effects: what was best with other errors need not be so now."""
+        """Fit choices again, from points spread over the priors of their effects: with other errors, the optimum may differ."""
         self._fit_from(target, {c: self._all_over(self._known[c].x, c) for c in choices})
 
     def look_all_over(self, target: Target) -> None:
-        """Fit each effect alone, in its simplest shape, from points all over the priors of law and effect: beside another law it
-        may be what it cannot be beside the fitted one."""
+        """Fit each effect alone, in its default form, from points spread over the priors of law and effect: with other parameters
+        of the law, an effect may explain more than with the fitted ones."""
         starts: dict[Choice, list[np.ndarray]] = {}
         for effect, forms in self.effects.items():
             label, form = next(iter(forms.items()))
@@ -184,13 +184,13 @@ class Fits:
         self._fit_from(target, starts)
 
     def submodel(self, choice: Choice) -> Submodel:
-        """The nested model of a choice."""
+        """The submodel of a choice."""
         forms = [self._form(pair) for pair in sorted(choice)]
         held = {column: value for form in forms for column, value in form.held.items()}
         return self.models.submodel(np.concatenate([self.law, *(form.columns for form in forms)]).astype(int), held)
 
     def _fit_from(self, target: Target, starts: Mapping[Choice, Sequence[np.ndarray]]) -> None:
-        """Fit choices, each from its starts, which are rivals, and keep the best of each that is known."""
+        """Fit choices from their starts, of which only the leading ones continue, and store the best fit of each choice."""
         tasks = [
             Task(self.submodel(choice), start, rivals=number)
             for number, (choice, own) in enumerate(starts.items())
@@ -202,19 +202,19 @@ class Fits:
                 self._known[owner] = fit
 
     def _all_over(self, x: np.ndarray, pairs: Iterable[tuple[str, str]]) -> list[np.ndarray]:
-        """Points at which effects have values from all over their priors, and everything else is as it is at x."""
+        """Points with values of the effects that are spread over their priors; all other coordinates are those of x."""
         columns = np.concatenate([self._form(pair).columns for pair in sorted(pairs)])
         return self._with_shares(x, columns, spread(len(columns)))
 
     def _everywhere(self, columns: np.ndarray) -> list[np.ndarray]:
-        """Points at which some parameters have values from all over their priors, and the others are neutral."""
+        """Points with values of some parameters that are spread over their priors; all others are neutral."""
         from scipy.stats import qmc
 
         shares = 0.1 + 0.8 * qmc.Sobol(len(columns), scramble=True, rng=0).random_base2(3)
         return self._with_shares(self.models.neutral, columns, shares)
 
     def _with_shares(self, x: np.ndarray, columns: np.ndarray, shares: Float[np.ndarray, "s q"]) -> list[np.ndarray]:
-        """Points at which these shares of the priors of some parameters lie below them, and everything else is as it is at x."""
+        """Points with some parameters at these quantile levels of their priors; all other coordinates are those of x."""
         starts = np.tile(x, (len(shares), 1))
         starts[:, columns] = self.models.box.quantiles(columns, shares)
         return list(starts)
@@ -227,7 +227,7 @@ class Fits:
         return self.effects[effect][label]
 
     def _go_on(self, target: Target, starts: Mapping[Choice, np.ndarray], stay: bool = False) -> dict[Choice, FitState]:
-        # Each is a start of its own, and ends where it cannot catch up with the others.
+        # Each start belongs to a different fit; a fit ends if it cannot catch up with the best one.
         tasks = [
             Task(self.submodel(choice), start, rivals=number, known=self._known[choice], stays=stay)
             for number, (choice, start) in enumerate(starts.items())
@@ -235,14 +235,14 @@ class Fits:
         return dict(zip(starts, self.models.fit(target, tasks), strict=True))
 
     def _reconcile(self, target: Target, choices: Sequence[Choice]) -> None:
-        """No model fits worse than one that it contains, nor than a larger one whose further effect is absent: where one does,
-        it was caught on the way, and goes on from there."""
+        """Correct fits that ended in a local minimum: a model fits at least as well as each of its submodels, and as a larger
+        model whose additional effect is absent.  If it does not, its fit continues from the point of the other model."""
         for size in sorted({len(c) for c in choices}):
             caught = {c: x for c in choices if len(c) == size and (x := self._better_start(c, choices)) is not None}
             self._known |= {c: fit for c, fit in self._go_on(target, caught).items() if fit.cost < self._known[c].cost}
 
     def _better_start(self, choice: Choice, choices: Sequence[Choice]) -> np.ndarray | None:
-        """Where the fit of another choice shows this model to fit better than it does; None where none does."""
+        """The point of another fit at which this model has a lower cost than at its own point; None without one."""
         here = self._known[choice]
         options: list[tuple[float, np.ndarray]] = []
         for other in choices:
@@ -264,8 +264,8 @@ class Fits:
         return float(self.models.box.log_density(x[None], columns).sum())
 
     def _starts(self, choice: Choice) -> list[np.ndarray]:
-        """Points to fit from: where other forms of the same effects are, or else the best fitted part with what it lacks at
-        several values."""
+        """Starts of a fit: near the fit with another form of one effect, or else at the best fitted submodel, with several values
+        of the effects that it lacks."""
         same = [c for c in self.of(names_of(choice)) if len(c - choice) == 1]
         if same:
             near = min(same, key=lambda c: (self._drivers(c) != self._drivers(choice), self._known[c].cost))
@@ -277,21 +277,21 @@ class Fits:
             starts = np.tile(x, (3 if new.size else 2, 1))
             starts[1, columns[0]] = self.models.box.quantiles(columns[:1], np.asarray([[0.5]]))[0, 0]
             if new.size:
-                # Where it is that other form, which it may contain, and where it is not.
+                # One start where the new form equals the other form, if it contains that form, and two starts where it differs.
                 starts[0, new] = self.models.neutral[new]
                 starts[1:, new] = self.models.box.quantiles(new, np.tile([[0.75], [0.3]], len(new)))
             return list(starts)
         known = max((c for c in self._known if c < choice), key=lambda c: (len(c), -self._known[c].cost))
         return self._all_over(self._known[known].x, choice - known)
 
-    # What a choice is worth.
+    # The evidence of a choice.
 
     def _worth(self, choice: Choice) -> float:
         """log Z plus the log prior of its forms."""
         return self._log_evidence(choice) + self.log_share(choice)
 
     def log_share(self, choice: Choice) -> float:
-        """Log prior probability of the forms among those of their effects."""
+        """Log prior probability of the forms of a choice among all forms of their effects."""
         return sum(self._log_share(pair) for pair in choice)
 
     def _log_share(self, pair: tuple[str, str]) -> float:
@@ -313,7 +313,7 @@ def names_of(choice: Choice) -> Set:
 
 
 def spread(parameters: int, each: int = 2) -> np.ndarray:
-    """Shares of the priors to start from, so many for each parameter and one more, (starts, parameters)."""
+    """Quantile levels of starts: `each` for every parameter and `each` more, four for one parameter, (starts, parameters)."""
     from scipy.stats import qmc
 
     if parameters == 1:

@@ -31,16 +31,16 @@ from hsed_jax.physics import display
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.physics.protocols import PROTOCOLS
 
-# Samples of the force that count, at equal steps of the path, and reversals of a candidate at most.
+# Number of samples of the force, at equal steps of the path, and largest number of reversals of a candidate.
 _SAMPLES, _REVERSALS = 200, 80
-# The first candidate with so much of the largest expectation is proposed: the test itself and fast loadings come first.
+# The first candidate with this share of the largest expectation is proposed; the measured test and fast loadings come first.
 _NEARLY = 0.9
 # The steps are this many times longer than those of the behaviour.
 _COARSER = 2.0
-# Rates over that of the test.
+# Rates, relative to that of the test.
 _RATES = (1.0, 0.1)
 _REPEATED = "the same test again"
-# Amplitudes of the cycles over the largest elongation, in order; a sequence is repeated, a protocol is not.
+# Amplitudes of the cycles, relative to the largest elongation, in order; a sequence is repeated, a protocol is not.
 _SEQUENCES = {
     "cycles of constant amplitude": (1.0,),
     "cycles of half the amplitude": (0.5,),
@@ -56,11 +56,11 @@ class Loading(NamedTuple):
 
     Attributes:
         name: in words.
-        reversals: elongations in order, from the virgin specimen on [m].
+        reversals: elongations at the reversals, in order, for a virgin specimen [m].
         rate: of the elongation [m/s]; None if the test has no time.
         expected_log_bayes_factor: between the explanations [nats].
-        repeated: the same of the measured test, if it is repeated.
-        pair: that the specimen is measured in.
+        repeated: expected log Bayes factor of the measured test, if it is repeated [nats].
+        pair: the pair of quantities in which the specimen is measured.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Loading(NamedTuple):
     pair: Pair
 
     def summary(self) -> dict[str, Any]:
-        """The key `next_loading` in `summary.json`."""
+        """The key `diagnosis.next_loading` of `summary.json`."""
         return {
             "name": self.name,
             "reversals": [float(f"{u:.4g}") for u in self.reversals],
@@ -83,7 +83,7 @@ class Loading(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """The loading and its use."""
+        """The loading and its expected log Bayes factor."""
         divisor, unit = display.shown_in(self.pair, "m", self.reversals)
         first = ", ".join(f"{u / divisor:.3g}" for u in self.reversals[:6])
         return (
@@ -94,11 +94,12 @@ class Loading(NamedTuple):
 
 
 def next_loading(probe: Probe, search: Search, rivals: Sequence[Model]) -> Loading | None:
-    """The loading that separates explanations best; None if none is expected to separate them, or if no force is measured.
+    """The loading that separates explanations best; None if none is expected to separate them, if the measured test separates
+    them nearly as well, or if no force is measured.
 
     Arguments:
-        probe: of the problem, a component test.
-        search: what was found.
+        probe: numerical experiments on the problem, which is a component test.
+        search: the search, which has ended.
         rivals: the explanations.
     """
     problem, visited, element = probe.problem, probe.visited, probe.simulator.elements[0]
@@ -120,7 +121,7 @@ def next_loading(probe: Probe, search: Search, rivals: Sequence[Model]) -> Loadi
     magnitude = np.sqrt(np.mean(predictions[0].mean ** 2, axis=1, keepdims=True))
     size = magnitude if problem.train.errors[group].is_relative else 1.0
     root = np.broadcast_to(np.sqrt(search.worth[group]) / (search.errors[group] * size), samples.shape)
-    # The verdict states them as equally good.
+    # The verdict states that the explanations are equally good, so they have equal probabilities.
     information = expected_log_bayes_factor(predictions, root, np.full(len(rivals), 1 / len(rivals)))
     best = int(np.argmax(information >= _NEARLY * information.max()))
     name, turns, rate = sequences[best]
@@ -131,13 +132,13 @@ def next_loading(probe: Probe, search: Search, rivals: Sequence[Model]) -> Loadi
 
 
 def _sequences(visited: Range) -> Iterator[tuple[str, Float[np.ndarray, " r"], float]]:
-    """Names, reversals from zero on [m] and rates [m/s], the measured test first."""
+    """Names, reversals from zero on [m] and rates [m/s] of the candidates; the measured test is the first one."""
     many = _REVERSALS // 2
     shapes = {name: _within_path(islice(cycle(shares), many), visited) for name, shares in _SEQUENCES.items()}
     for protocol in PROTOCOLS.values():
         shares = np.asarray(protocol.amplitudes()) / max(protocol.amplitudes(), default=1.0)
         turns = _within_path(shares, visited)
-        # A protocol that the path cuts short is another loading.
+        # A protocol that does not fit into the path of the test is omitted: a part of it is another loading.
         if len(turns) == 1 + 2 * len(shares) > 1:
             shapes[f"the protocol {protocol.title}"] = turns
     for rate in _RATES if visited.has_time else _RATES[:1]:
@@ -147,14 +148,14 @@ def _sequences(visited: Range) -> Iterator[tuple[str, Float[np.ndarray, " r"], f
 
 
 def _within_path(shares: Iterable[float], visited: Range) -> Float[np.ndarray, " r"]:
-    """Reversals of cycles of both signs from zero on [m], as far as the path of the test; shares of its largest elongation."""
+    """Reversals of cycles of both signs, from zero on [m], up to the path of the test; shares are of its largest elongation."""
     turns = visited.elongation * np.asarray([0.0, *(side * share for share in shares for side in (1.0, -1.0))])
     passed = np.cumsum(np.abs(np.diff(turns, prepend=0.0)))
     return turns[passed <= visited.path * (1 + 1e-9)]
 
 
 def _evenly(elongation: Float[np.ndarray, "c n"]) -> Int[np.ndarray, "c samples"]:
-    """Samples at equal steps of the path."""
+    """Indices of samples at equal steps of the path."""
     passed = np.cumsum(np.abs(np.diff(elongation, axis=1, prepend=elongation[:, :1])), axis=1)
     shares = np.linspace(0, 1, _SAMPLES + 1)[1:]
     found = np.zeros((len(passed), _SAMPLES), dtype=int)

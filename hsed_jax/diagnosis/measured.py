@@ -1,4 +1,4 @@
-"""Measured experiments as a search over models sees them: how far predictions are off, and in units of what."""
+"""The measured experiments of a search over models: the residuals of predictions, and the errors that they are compared with."""
 
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false
@@ -16,7 +16,7 @@ from hsed_jax.inference.correlation import NoiseEstimate, estimate_noise
 from hsed_jax.inference.likelihood import Error, magnitudes
 
 WRONG = 5.0
-"""A model that leaves so many times the noise is wrong: evidence, which takes one of the models for true, decides nothing."""
+"""A model whose error exceeds this many times the noise floor is wrong: the search then also tries other law parameters."""
 
 
 class Measured(NamedTuple):
@@ -24,11 +24,11 @@ class Measured(NamedTuple):
 
     Attributes:
         values: measured outputs, SI, (n, J).
-        used: where there is a measurement, (n, J).
-        gaps: time since the sample before of the same history [s], infinite where there is none, (n, J).
-        groups: output of each column, (J,).
-        errors: of each output, (G,).
-        noise: noise floor of the error (`hsed_jax.criticism.compare`).
+        used: whether there is a measurement, (n, J).
+        gaps: time since the previous sample of the same history [s], infinite without one, (n, J).
+        groups: index of the output of each column, (J,).
+        errors: the error of each output, (G,).
+        noise: noise floor of the normalised error (`hsed_jax.criticism.compare`).
     """
 
     values: Float[np.ndarray, "n J"]
@@ -40,20 +40,20 @@ class Measured(NamedTuple):
 
     @property
     def declared(self) -> Float[np.ndarray, " G"]:
-        """s of each output, NaN where it is not declared."""
+        """s of each output; NaN if it is not declared."""
         return np.asarray([float(e.size) if isinstance(e.size, int | float) else np.nan for e in self.errors])
 
     def error(self, predicted: np.ndarray, scored: np.ndarray | None = None) -> float:
-        """Normalised error of predictions (n, J), where something is scored (by default wherever it was measured)."""
+        """Normalised error of predictions (n, J) for the scored samples, by default for all measured ones."""
         return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
 
     def is_far_above_noise(self, predicted: np.ndarray) -> bool:
-        """Whether predictions (n, J) leave many times the noise; False where the noise of an output is not known."""
+        """Whether the error of predictions (n, J) exceeds `WRONG` times the noise floor; False if a noise is unknown."""
         is_known = ~np.isnan(self.declared) | (np.bincount(self.groups, minlength=len(self.errors)) >= HISTORY)
         return bool(is_known.all()) and self.error(predicted) > WRONG * self.noise
 
     def squares(self, predicted: np.ndarray, parts: Bool[np.ndarray, "F n J"]) -> Float[np.ndarray, " F"]:
-        """Squared normalised errors of predictions (n, J) in parts of the measurements, in units of the whole."""
+        """Squared errors of predictions (n, J) in parts of the measurements, relative to the mean square of each output, (F,)."""
         whole = [self.used & (self.groups == group) for group in np.unique(self.groups)]
         wholes = [own for own in whole if own.any()]
         scales = [float(np.sqrt(np.mean(self.values[own] ** 2))) or 1.0 for own in wholes]
@@ -66,44 +66,44 @@ class Measured(NamedTuple):
         return found.mean(axis=1)
 
     def scales(self, predicted: Float[np.ndarray, "n J"]) -> Float[np.ndarray, "n J"]:
-        """c in σ = s·c: one, or where an error is relative the predicted quantity or the RMS of the measured history; the
-        measured quantity where that is what the error is relative to."""
+        """c in σ = s·c: one for an absolute error.  For a relative error, c is the predicted quantity or the RMS of the measured
+        history, or the measured quantity if the error is relative to it."""
         of_measured = np.asarray([error.of_measured for error in self.errors], dtype=bool)[self.groups]
         is_predicted = (np.bincount(self.groups)[self.groups] == 1) & np.logical_not(of_measured)
         known = np.where(is_predicted, predicted, self.values)
         return self.expected_scales(known, self.used)
 
     def expected_scales(self, predicted: Float[np.ndarray, "r J"], used: np.ndarray) -> Float[np.ndarray, "r J"]:
-        """c of measurements that are not made, from predictions (r, J), of which `used` counts."""
+        """c from values (r, J), such as predictions of experiments that are not made; `used` marks the values that count."""
         relative = np.asarray([error.is_relative for error in self.errors])
         members = (self.groups[:, None] == np.arange(len(self.errors))).astype(float)
         size = np.asarray(magnitudes(jnp.asarray(predicted), jnp.asarray(used, float), members))
         return np.where(np.logical_and(relative[self.groups], size > 0), size, 1.0)
 
     def residual(self, predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
-        """Predictions less measurements over c; zero where there is no measurement."""
+        """Predictions minus measurements, divided by c; zero where there is no measurement."""
         return np.where(self.used, (predicted - self.values) / self.scales(predicted), 0.0)
 
     def left(self, predicted: np.ndarray) -> Float[np.ndarray, " G"]:
-        """s of each output that would explain the residual of predictions: its RMS, never zero."""
+        """s of each output that explains the residual of predictions: the RMS of the residual over c, never zero."""
         residual, outputs = self.residual(predicted), range(len(self.errors))
         owns = [self.used & (self.groups == output) for output in outputs]
         found = [float(np.sqrt(np.mean(residual[own] ** 2))) if own.any() else 1.0 for own in owns]
         return np.maximum(found, 1e-9)
 
     def surprise(self, predicted: np.ndarray, standard: "Standard", parameters: int) -> float:
-        r"""Minus the log density of the measurements beside predictions with errors of their own [nats], up to a constant:
+        r"""Minus the log density of the measurements, for predictions with errors of their own [nats], up to a constant:
 
         $$\sum_o n_o\Big(\big(1 - \tfrac pn\big)\log s_o + \tfrac12\,\hat s_o^2/s_o^2\Big),$$
 
-        with $\hat s_o$ what the predictions leave of output o, $s_o$ that or the declared error, whichever is larger, $n_o$ what
-        its samples are worth, n their sum, and p the number of fitted parameters: these take as many samples away, which tell
-        nothing of the errors (restricted likelihood, Patterson & Thompson 1971).
+        where $\hat s_o$ is the RMS residual of output o, $s_o$ the larger of $\hat s_o$ and the declared error, $n_o$ the
+        effective number of its samples, n the sum of all $n_o$, and p the number of fitted parameters.  Each parameter removes
+        one effective sample from the estimate of the errors (restricted likelihood, Patterson & Thompson 1971).
 
         Arguments:
             predicted: (n, J).
-            standard: what the samples are worth, and the errors that those of the predictions are compared with.
-            parameters: how many were fitted.
+            standard: the effective numbers of samples, and the reference values of the errors.
+            parameters: the number of fitted parameters.
         """
         left = self.left(predicted)
         errors = np.fmax(self.declared, left)
@@ -116,14 +116,14 @@ class Measured(NamedTuple):
         return np.where(self.used, errors[self.groups] * self.scales(predicted), 1.0)
 
     def noise_estimate(self, predicted: np.ndarray) -> NoiseEstimate:
-        """What the samples are worth beside predictions."""
+        """The noise estimate from the residual of predictions."""
         declared = ~np.isnan(self.declared)
         residual = self.residual(predicted) / np.where(declared, self.declared, self.left(predicted))[self.groups]
         correlated = [error.correlated for error in self.errors]
         return estimate_noise(residual, self.gaps, self.used, self.groups, declared, correlated)
 
     def standard(self, predicted: Float[np.ndarray, "n J"], fitted: Bool[np.ndarray, "M n J"]) -> "Standard":
-        """What several uses of the measurements are judged by, from what predictions leave of them."""
+        """The standard for several uses of the measurements, from the residual of predictions."""
         noise_estimate = self.noise_estimate(predicted)
         errors = np.fmax(self.declared, self.left(predicted))
         weights, samples = fitted * noise_estimate.worth[self.groups], self.samples(fitted)
@@ -131,7 +131,7 @@ class Measured(NamedTuple):
         return Standard(errors, noise_estimate.worth, target)
 
     def samples(self, fitted: Bool[np.ndarray, "M n J"]) -> Int[np.ndarray, "M n"]:
-        """How many samples of the longest output there are up to the last that is fitted, by use and experiment."""
+        """Number of samples up to the last fitted one, the largest over the outputs, by use and experiment."""
         found = np.zeros(fitted.shape[:2], dtype=int)
         for group in np.unique(self.groups):
             own = fitted[:, :, self.groups == group]
@@ -141,12 +141,12 @@ class Measured(NamedTuple):
 
 
 class Standard(NamedTuple):
-    """What models are judged by.
+    """The errors and the data by which models are judged.
 
     Attributes:
-        errors: s of each output, the declared one or what a model left, whichever is larger, (G,).
-        worth: what a sample of each output is worth, (G,).
-        target: what is fitted, by them.
+        errors: s of each output, the larger of the declared error and the residual of a model, (G,).
+        worth: effective number of each sample, by output, (G,).
+        target: the data of the fits, with these errors.
     """
 
     errors: Float[np.ndarray, " G"]

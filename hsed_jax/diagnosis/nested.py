@@ -1,10 +1,10 @@
-r"""Fits of many nested models at once: bounded Levenberg–Marquardt whose simulations are one batch.
+r"""Fits of many nested models at once: bounded Levenberg–Marquardt, with the simulations of all fits in one batch.
 
-All models are the same large one, with all but a few parameters held at their neutral values. Hence one compiled program
-serves every candidate, every start and every subset of the experiments; derivatives are differences between simulations,
-which cost one simulation each and also see an effect that has no derivative at its neutral value (a gap, a stop). As long as
-steps gain what was expected of them, each mends the derivatives along itself instead (Broyden 1965), which costs none; nor
-does a fit that goes on, with other errors or without some of the experiments, from where another one ended.
+All models are the same large model, with all but a few parameters held at their neutral values.  One compiled program therefore
+serves every candidate, every start and every subset of the experiments.  Derivatives are finite differences, one simulation per
+coordinate, which also detect an effect without a derivative at its neutral value (a gap, a stop).  While steps gain as much as
+expected, each step instead updates the derivatives along its direction (Broyden 1965), without a simulation.  A fit that
+continues where another one ended, with other errors or without some of the experiments, starts with the known derivatives.
 
 $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sigma_{ij}}\Big)^2 - \sum_k\log p(x_k),
   \qquad x_k\in[l_k,u_k]$$
@@ -20,35 +20,35 @@ from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target, Task
 from hsed_jax.inference.watch import Watch, fingerprint
 
-# Of a difference, in coordinates of order one: far above the rounding of a simulation, far below a prior's width.
+# Step of a finite difference, in coordinates of order one: larger than rounding errors, much smaller than the width of a prior.
 _DIFFERENCE = 1e-4
-# A fit ends when a step gains less than this many nats, or after so many steps.
+# A fit ends if a step gains less than this many nats, or after this many steps; each step has at most this many trials.
 _GAIN = 0.02
 _MOST_STEPS, _MOST_TRIALS = 30, 6
-# Of several starts so many go on after so many steps.
+# After each of these numbers of steps, only this many starts of one fit continue.
 _RACE = {3: 2, 7: 1}
-# A start is given up that is so many nats behind the best fit of its use, and at its last step's pace needs more steps than this.
+# A start is stopped if it is this many nats behind the best fit of its use and needs more than this many steps to catch up.
 _BEHIND, _AS_MANY = 20.0, 50
-# Curvature of a coordinate that neither data nor prior hold: its box does.
+# Curvature of a coordinate without information from data or prior; only its bounds limit such a coordinate.
 _FLAT = 1e-6
-# Outputs that are held at once, and derivatives of one fit that are kept.
+# Number of derivatives that are in RAM at once, and largest number that is stored for one fit.
 _NUMBERS, _KEPT = 2**24, 2**17
-# So many steps in a row mend the derivatives, if each gains this share of what was expected of it.
+# Largest number of consecutive steps that update the derivatives; each has to gain this share of the expected gain.
 _MENDED, _EXPECTED = 3, 0.3
 
 
 _Request = tuple[np.ndarray, Submodel, np.ndarray, np.ndarray | None]
-"""A point, its model, the experiments, and how many samples of each."""
+"""A point, its model, its experiments, and the number of samples of each experiment."""
 
 
 class NestedModels:
-    """A large model whose parameters are mostly held.
+    """A large model, most of whose parameters are held.
 
     Arguments:
-        batch: its predictions.
+        batch: predicts its outputs.
         box: coordinates of its parameters, in the order of the batch.
-        neutral: θ at which every effect is absent; law parameters at any value, (P,).
-        watch: hears how many fits have ended, and keeps the ends.
+        neutral: θ at which every effect is absent, with any values of the law parameters, (P,).
+        watch: receives the number of finished fits, and stores their results.
     """
 
     def __init__(self, batch: Predictions, box: Box, neutral: Float[np.ndarray, " P"], watch: Watch | None = None):
@@ -58,16 +58,16 @@ class NestedModels:
         self._asked = 0
 
     def within(self, box: Box, batch: Predictions | None = None) -> "NestedModels":
-        """The same models with other priors of their parameters, and with these in another meaning."""
+        """The same models with other priors, and with another batch if the parameters have another meaning."""
         return NestedModels(self.batch if batch is None else batch, box, self._neutral)
 
     def of_experiments(self, rows: Int[np.ndarray, " r"]) -> "NestedModels":
-        """The same models of some of the experiments, which are known by their places in `rows` then."""
+        """The same models for some of the experiments, which are then numbered by their positions in `rows`."""
         return NestedModels(Selected(self.batch, rows), self.box, self._neutral, self._watch)
 
     def submodel(self, free: Int[np.ndarray, " p"], held: Mapping[int, float] | None = None) -> Submodel:
-        """A model with some coordinates free, some parameters held at given values, and the others neutral."""
-        # Held are parameters and not coordinates: to the last bit, an effect that is off is absent.
+        """A submodel with some free coordinates, some parameters held at given values, and all others neutral."""
+        # Parameters are held, not coordinates: no rounding then moves an absent effect away from its neutral value.
         theta = self._neutral.copy()
         for column, value in (held or {}).items():
             theta[column] = value
@@ -76,35 +76,35 @@ class NestedModels:
     def predict(
         self, points: Sequence[tuple[np.ndarray, Submodel]], rows: Int[np.ndarray, " r"]
     ) -> tuple[Float[np.ndarray, "B r J"], Float[np.ndarray, "B r"]]:
-        """Outputs of models at several points for the experiments in `rows`, and whether they converged."""
+        """Outputs of models at several points for the experiments in `rows`, and whether the simulations converged."""
         outputs, ok = self._run([(x, submodel, rows, None) for x, submodel in points])
         return np.stack(outputs), np.stack(ok)
 
     def point(self, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
-        """x where some parameters, by name, SI, are known and the others neutral, (P,)."""
+        """x with known values of some parameters, by name, SI, and neutral values of the others, (P,)."""
         theta = self._neutral.copy()
         for name, value in known.items():
             theta[self.box.names.index(name)] = value
         return np.clip(self.box.x(theta), self.box.low, self.box.high)
 
     def theta(self, x: Float[np.ndarray, " P"], submodel: Submodel) -> Float[np.ndarray, " P"]:
-        """θ of a model at a point: free coordinates as they are, the others as held."""
+        """θ of a model at a point: the free coordinates are those of x, the other parameters have their held values."""
         theta = submodel.held.copy()
         theta[submodel.free] = self.box.theta(x)[submodel.free]
         return theta
 
     def fit(self, target: Target, tasks: Sequence[Task]) -> list[FitState]:
-        """Make fits, all side by side; those that were made and kept before are not made again.
+        """Make fits, all in parallel; fits that an earlier run has stored are not made again.
 
         Arguments:
-            target: what is fitted.
+            target: the data of the fits.
             tasks: the fits to make.
 
         Returns:
-            The ends, in the order of the tasks.
+            The final fit states, in the order of the tasks.
         """
-        # By their place in the search and by what is whole numbers in them: two programs of one model differ in the last bit, and
-        # a search that goes on does not make the programs that the interrupted one made.
+        # The name has the position in the search and the integers of the tasks, but not the starts: these differ in the last bit
+        # between programs of one model, and a resumed search does not compile the same programs as the interrupted one.
         self._asked += 1
         whole = [[t.submodel.free, t.use, t.rivals] for t in tasks]
         name = f"fits-{fingerprint(self._asked, self._neutral, target.values, whole)}"
@@ -115,7 +115,7 @@ class NestedModels:
         return fits
 
     def _again(self, target: Target, tasks: Sequence[Task], kept: Sequence[np.ndarray]) -> list[FitState]:
-        """Fits from what was kept of their ends; their predictions are made again, which is little beside a fit."""
+        """Fits from their stored results; only their predictions are simulated again, which is cheap compared with a fit."""
         fits = [FitState(task.submodel, x, task.use) for task, x in zip(tasks, kept[::4], strict=True)]
         _, tables = self._costs(target, [(f, f.x) for f in fits])
         for number, (one, predicted) in enumerate(zip(fits, tables, strict=True)):
@@ -135,7 +135,7 @@ class NestedModels:
             one.done = not np.isfinite(cost)
         lead = _lead(fits)
         for one, task, is_known in zip(fits, tasks, known, strict=True):
-            # With other errors there may be nothing to gain where it is: that is seen without a simulation.
+            # With other errors, a fit may have nothing to gain at its start: the known derivatives show this.
             if is_known:
                 gain = self._expected(one, self._step(one))
                 one.done = task.stays or gain < _GAIN or _is_beaten(one, gain, lead)
@@ -154,7 +154,7 @@ class NestedModels:
         return fits
 
     def _taken_over(self, target: Target, fit: FitState, known: FitState | None) -> bool:
-        """Start a fit from what is known where it starts; whether anything is."""
+        """Start a fit with the predictions and derivatives of a known fit at the same point; False if there are none."""
         if known is None or not known.slopes.size or not np.array_equal(known.x, fit.x):
             return False
         fit.predicted, fit.slopes = np.zeros_like(target.values), known.slopes
@@ -166,7 +166,7 @@ class NestedModels:
         return True
 
     def _advance(self, target: Target, active: list[FitState], lead: Mapping[int, float]) -> None:
-        """Move each fit by one accepted step, or end it; `lead` is the least cost of each use."""
+        """Move each fit by one accepted step, or end it; `lead` is the lowest cost of each use."""
         pending = active
         for _ in range(_MOST_TRIALS):
             trials = [(f, self._step(f)) for f in pending]
@@ -182,7 +182,7 @@ class NestedModels:
                     one.mended = -1
                 else:
                     one.damping = max(one.damping * 8, 1e-3)
-                    # Not even the model of the cost expects more than this.
+                    # The step hardly changes the cost: the fit has converged.
                     one.done = np.isfinite(cost) and -gain < 1e-3 * _GAIN
                     rest.append(one)
             pending = [f for f in rest if not f.done]
@@ -194,8 +194,8 @@ class NestedModels:
     def _move(
         self, target: Target, fit: FitState, x: np.ndarray, cost: float, predicted: np.ndarray, is_settled: bool
     ) -> None:
-        """Go to a better point, with derivatives that are right along the step that led there, if that is worth it; those of a
-        fit that has settled are as good there."""
+        """Move to a better point.  A step that gained enough of what was expected updates the derivatives along its direction; a
+        settled fit updates only its gradient."""
         step, gain, change = (x - fit.x)[fit.free], fit.cost - cost, predicted - fit.predicted
         expected = self._expected(fit, x)
         fit.x, fit.cost, fit.predicted = x, cost, predicted
@@ -210,12 +210,12 @@ class NestedModels:
             self._derive(target, fit)
 
     def _expected(self, fit: FitState, x: np.ndarray) -> float:
-        """What the cost would fall by on the way to a point, were it what its derivatives say."""
+        """The reduction of the cost from the fit to a point, as predicted by gradient and Hessian."""
         step = (x - fit.x)[fit.free]
         return -float(fit.gradient @ step + 0.5 * step @ fit.hessian @ step)
 
     def _derive(self, target: Target, fit: FitState) -> None:
-        """Gradient and Gauss–Newton Hessian of φ from the derivatives of what is predicted."""
+        """Gradient and Gauss–Newton Hessian of φ from the derivatives of the predictions."""
         rows = target.rows(fit.use)
         jacobian = target.standardised(fit.use, rows, fit.slopes[:, rows]).reshape(len(fit.free), -1)
         residual = target.standardised(fit.use, rows, (fit.predicted - target.values)[rows])
@@ -224,7 +224,7 @@ class NestedModels:
         fit.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
 
     def _step(self, fit: FitState) -> Float[np.ndarray, " P"]:
-        """The damped Gauss–Newton step, held by the bounds it would leave through."""
+        """The damped Gauss–Newton step, limited by the bounds."""
         low, high, x = self.box.low[fit.free], self.box.high[fit.free], fit.x[fit.free]
         held = ((x <= low) & (fit.gradient > 0)) | ((x >= high) & (fit.gradient < 0))
         moved = x.copy()
@@ -238,7 +238,7 @@ class NestedModels:
             moved = x.copy()
             moved[inside] = x[inside] + np.clip(step, -3.0, 3.0)
             beyond = (moved < low) | (moved > high)
-            # What runs into its bound stays on it, and the others step again knowing so.
+            # A coordinate that reaches a bound stays on it, and the step of the others is computed again.
             if not beyond.any():
                 break
             x = np.where(beyond, np.clip(moved, low, high), x)
@@ -262,18 +262,18 @@ class NestedModels:
         return costs, tables
 
     def _cost(self, target: Target, fit: FitState, x: np.ndarray, outputs: Float[np.ndarray, "r J"]) -> float:
-        """φ of a fit at a point, where its outputs are these; infinite where it is no number."""
+        """φ of a fit at a point with these outputs; infinite if it is not finite."""
         cost = float(target.misfit(fit.use, outputs) - self.box.log_density(x[None], fit.free).sum())
         return cost if np.isfinite(cost) else np.inf
 
     def _linearise(self, target: Target, fits: list[FitState]) -> None:
-        """Derivatives of fits, some at a time: memory is that of a batch and not of all of them."""
+        """Derivatives of fits, in several batches, so that only the derivatives of one batch need RAM."""
         batch = max(1, _NUMBERS // (target.values.size * max((len(f.free) for f in fits), default=1)))
         for start in range(0, len(fits), batch):
             self._linearise_batch(target, fits[start : start + batch])
 
     def _linearise_batch(self, target: Target, fits: list[FitState]) -> None:
-        """Derivatives by forward differences, away from the nearer bound."""
+        """Derivatives by finite differences, forward unless the step would cross the upper bound."""
         requests: list[_Request] = []
         sizes: list[np.ndarray] = []
         for one in fits:
@@ -298,7 +298,7 @@ class NestedModels:
                 one.slopes = np.zeros((0, 0, 0))
 
     def _run(self, requests: Sequence[_Request]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """Outputs (r, J) and flags (r,) of each request."""
+        """Outputs (r, J) and convergence flags (r,) of each request."""
         if not requests:
             return [], []
         thetas = [np.repeat(self.theta(x, submodel)[None], len(rows), axis=0) for x, submodel, rows, _ in requests]
@@ -311,24 +311,24 @@ class NestedModels:
 
 
 def _asked(target: Target, use: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """The experiments that a use has weights for, and how many samples of each."""
+    """The experiments that have a weight in a use, and the number of samples of each."""
     rows = target.rows(use)
     return rows, target.samples_of(use, rows)
 
 
 def _lead(fits: Sequence[FitState]) -> dict[int, float]:
-    """The least cost of each use."""
+    """The lowest cost of each use."""
     return {use: min(f.cost for f in fits if f.use == use) for use in {f.use for f in fits}}
 
 
 def _is_beaten(fit: FitState, gain: float, lead: Mapping[int, float]) -> bool:
-    """Whether a fit that races would not catch up with the least cost of its use, at the pace of a step that gains so much."""
+    """Whether a racing fit is far behind the lowest cost of its use and too slow to catch up, with this gain in each step."""
     behind = fit.cost - lead[fit.use]
     return fit.races and behind > _BEHIND and gain * _AS_MANY < behind
 
 
 def _give_up(fits: Sequence[FitState], tasks: Sequence[Task], left: int) -> None:
-    """Of the starts of each fit, let only the lowest ones go on."""
+    """Stop all starts of each fit, except the `left` ones with the lowest costs."""
     groups: dict[int, list[FitState]] = {}
     for one, task in zip(fits, tasks, strict=True):
         if task.rivals >= 0:

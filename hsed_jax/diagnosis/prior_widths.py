@@ -1,19 +1,19 @@
-r"""What a verdict owes to the priors: the same models with priors of the effects 3 times narrower and 10 times wider.
+r"""The influence of the priors on a verdict: the same models with priors of the effects 3 times narrower and 10 times wider.
 
-The prior of an amplitude is stretched about its neutral value, that of another parameter about its median, on the scale on which
-the prior lives (`hsed_jax.diagnosis.box`).  Nothing is simulated again.  The misfit of every fit is its second-order expansion,
+The prior of an amplitude is stretched about its neutral value, and that of another parameter about its median, on the linear or
+logarithmic scale of the coordinate (`hsed_jax.diagnosis.box`).  No simulation is needed: each misfit is expanded to second order,
 
 $$\varphi_s(x) = c + g^\top(x-\hat x) + \tfrac12 (x-\hat x)^\top H (x-\hat x) - \sum_k \log p_s(x_k),$$
 
 and the stretched densities $p_s$ are exact.  The minimum of φ_s gives the evidence by Laplace's method.  The same expansion for
-the data of each fold gives how far the fit to that fold moves, and its derivatives how far its predictions move.
+the data of each fold gives the change of the fit to this fold, and the derivatives give the change of its predictions.
 
-Another explanation leads at a width if it meets the demands of a verdict there: its odds against the named one by what both
-predict are at least those that an effect needs, and its evidence with its prior is not less.  Then the verdict is ambiguous.
-A flip without such a leader is a caution: the support of an effect may fall below the demands while nothing else explains more.
+Another explanation leads at a width if it meets the conditions of a verdict: its odds by the score against the named explanation
+are at least those that an effect needs, and its evidence with its prior is not less.  Then the verdict is ambiguous.  A verdict
+that changes without such a leader is a caution: an effect may lose its support although no other explanation is better.
 
-A wider prior does not extend the bounds: nothing beyond them was simulated.  The evidence under it is thus a lower bound where
-the fit leans on a bound.
+A wider prior does not extend the bounds, because no simulation is beyond them.  If a fit is on a bound, the evidence with a
+wider prior is therefore a lower limit.
 """
 
 # SciPy comes without types.
@@ -39,24 +39,24 @@ from hsed_jax.diagnosis.score import ODDS, weights_of
 from hsed_jax.diagnosis.search import Search
 
 WIDTHS = (1 / 3, 10.0)
-"""Times the width of the priors."""
+"""Factors on the width of the priors."""
 
-# Newton steps to the minimum of φ_s, none longer than this in coordinates of order one.
+# Newton steps to the minimum of φ_s: largest number, largest step in coordinates of order one, and step at which they end.
 _STEPS, _LONGEST, _SETTLED = 30, 3.0, 1e-7
-# Curvature of a coordinate that neither data nor prior hold.
+# Curvature of a coordinate without information from data or prior.
 _FLAT = 1e-6
-# Without a named effect: so many candidates of most evidence are told of.
+# Without a named effect: number of reported candidates, the ones with the largest evidence.
 _TOLD = 1
 
 
 class Stretched(Box):
-    """The box of a search with the priors of some coordinates stretched.
+    """The box of a search, with stretched priors of some coordinates.
 
     Arguments:
         box: of the search.
-        columns: of the coordinates.
-        about: the x that stays where it is, of all coordinates, (P,).
-        width: times the width of the prior.
+        columns: indices of the stretched coordinates.
+        about: the fixed point of the stretching, for all coordinates, (P,).
+        width: factor on the width of the priors.
     """
 
     def __init__(self, box: Box, columns: Int[np.ndarray, " q"], about: Float[np.ndarray, " P"], width: float):
@@ -74,11 +74,11 @@ class Stretched(Box):
         self.high = np.where(narrowed, np.fmin(self.high, about + (high - about) * self._width), self.high)
 
     def log_density(self, x: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """As of a box, of the stretched priors."""
+        """As in `Box`, for the stretched priors."""
         return super().log_density(self._before(x), columns) - np.log(self._width[columns])
 
     def terms(self, x: np.ndarray, columns: np.ndarray) -> Terms:
-        """As of a box, of the stretched priors."""
+        """As in `Box`, for the stretched priors."""
         value, slope, curvature = super().terms(self._before(x), columns)
         width = self._width[columns]
         return Terms(value - np.log(width), slope / width, curvature / width**2)
@@ -103,15 +103,15 @@ def prior_widths(
     otherwise: str,
     does_the_same: Callable[[Model], bool] = lambda model: False,
 ) -> list[PriorWidth]:
-    """What the verdict is with narrower and wider priors of the named effects; without one, of all candidates.
+    """The verdict with narrower and wider priors of the named effects; without a named effect, of all candidates.
 
     Arguments:
-        search: that has ended.
-        models: what it has fitted, the most probable first.
-        best: the model that is named.
-        verdict: on it.
-        otherwise: the verdict where no effect is supported.
-        does_the_same: whether a model differs from the best one by its formulas only, so that it is no rival.
+        search: the search, which has ended.
+        models: its fitted models, the most probable first.
+        best: the named model.
+        verdict: of the diagnosis.
+        otherwise: the verdict if no effect is supported.
+        does_the_same: whether a model differs from the best one only in its formulas; such a model is no rival.
     """
     stretching = _Stretching(search, models, best)
     before = stretching.at(1.0)
@@ -119,14 +119,14 @@ def prior_widths(
 
 
 class _State(NamedTuple):
-    """What the models are worth at one width.
+    """The probabilities of the models at one width.
 
     Attributes:
-        width: of the priors.
-        models: with their probabilities and log posterior odds.
-        gains: log evidence gain of each effect that is told of.
-        odds: of the model with each of these effects against the one without it, by what they predict.
-        log_priors: log prior odds of the same.
+        width: factor on the width of the priors.
+        models: the models with their probabilities and log posteriors at this width.
+        gains: log evidence gain of each reported effect.
+        odds: of the model with each of these effects against the model without it, by the score.
+        log_priors: log prior odds of the same two models.
     """
 
     width: float
@@ -137,12 +137,12 @@ class _State(NamedTuple):
 
 
 class _Stretching:
-    """The models that count, with priors of another width."""
+    """The models with a relevant weight, with priors of another width."""
 
     def __init__(self, search: Search, models: Sequence[Model], best: Model):
         self._search, self._best = search, best
         fitted = {m.effects: m for m in models} | {best.effects: best}
-        # Each effect that is told of: the model with it and the one without it.
+        # By reported effect: the model with it and the model without it.
         self._pairs: dict[str, tuple[Model, Model]] = {}
         if best.effects:
             for effect in sorted(best.effects):
@@ -167,11 +167,11 @@ class _Stretching:
         self._plain_weights = self._weights(self._densities(1.0))
 
     def at(self, width: float) -> _State:
-        """What the models are worth with priors of this width."""
+        """The probabilities of the models with priors of this width."""
         evidence = self._evidence(self._box(width)) - self._plain
         densities = self._densities(width)
         weights = self._weights(densities)
-        # What the width changes, applied to the probabilities over all forms.
+        # Only the change by the width is computed here; it is applied to the probabilities over all forms.
         shares = np.asarray([m.probability for m in self._models])
         shares = shares * weights / np.maximum(self._plain_weights, 1e-300)
         shares = shares / shares.sum() if shares.sum() > 0 else shares
@@ -194,12 +194,12 @@ class _Stretching:
         return Stretched(self._search.models.box, self._columns, self._about, width)
 
     def _evidence(self, box: Stretched) -> Float[np.ndarray, " M"]:
-        """log Z of the models, each in the forms in which it is taken."""
+        """log Z of the models, each with its selected forms."""
         models = self._search.models.within(box)
         found: list[float] = []
         for fit in (m.fit for m in self._models):
             if not np.isfinite(fit.cost):
-                found.append(0.0)  # of what cannot be simulated the width changes nothing
+                found.append(0.0)  # the width changes nothing for a model that cannot be simulated
                 continue
             misfit = _of_all(fit, self._search.models.box)
             x = _least(misfit, fit, box)
@@ -215,7 +215,7 @@ class _Stretching:
         return weights_of(densities, self._priors)
 
     def _densities(self, width: float) -> Float[np.ndarray, "M P"]:
-        """Log densities of what is left out."""
+        """Log densities of the held-out data, by model and piece."""
         search = self._search
         fits, box, plain = [m.fit for m in self._models], self._box(width), self._box(1.0)
         moved = None if width == 1.0 else [moved_by(search, fit, plain, box) for fit in fits]
@@ -231,7 +231,7 @@ def _told(
     after: _State,
     does_the_same: Callable[[Model], bool],
 ) -> PriorWidth:
-    """The verdict with priors of another width: it changes only by what the width changes."""
+    """The verdict with priors of another width: it changes only if the width changes whether a condition is met."""
 
     def supports(state: _State, effect: str) -> tuple[bool, bool]:
         return state.odds[effect] >= ODDS, state.gains[effect] + state.log_priors[effect] >= 0
@@ -260,7 +260,7 @@ def _told(
 def _leader(
     best: Model, before: _State, after: _State, does_the_same: Callable[[Model], bool]
 ) -> tuple[str, ...] | None:
-    """Effects of the explanation that leads with the other priors, and did not before; None without one."""
+    """Effects of the explanation that leads with the other priors and not with the original ones; None without one."""
 
     def leading(state: _State) -> dict[frozenset[str], float]:
         own = next(m for m in state.models if m.effects == best.effects)
@@ -268,7 +268,7 @@ def _leader(
             m.effects: m.probability / max(own.probability, 1e-300)
             for m in state.models
             if len(m.effects) <= len(best.effects)
-            # Without an effect there is no other explanation: that is a caution.
+            # A submodel of the named model is no other explanation: such a change is only a caution.
             and not m.effects <= best.effects
             and m.probability > 0
             and m.probability >= ODDS * own.probability
@@ -282,14 +282,14 @@ def _leader(
 
 
 def _of_all(fit: FitState, box: Box) -> _Misfit:
-    """The misfit of all the data, at a fit."""
+    """The misfit of all data, expanded about the fit."""
     terms = box.terms(fit.x, fit.free)
     hessian = fit.hessian - np.diag(terms.curvature)
     return _Misfit(fit.cost + float(terms.value.sum()), fit.gradient + terms.slope, hessian)
 
 
 def _of_fold(search: Search, fit: FitState, use: int) -> _Misfit:
-    """The misfit of the data of a fold, about the fit to all of them."""
+    """The misfit of the data of a fold, expanded about the fit to all data."""
     target = search.target
     rows = target.rows(use)
     jacobian = target.standardised(use, rows, fit.slopes[:, rows]).reshape(len(fit.free), -1)
@@ -298,7 +298,7 @@ def _of_fold(search: Search, fit: FitState, use: int) -> _Misfit:
 
 
 def _least(misfit: _Misfit, fit: FitState, box: Box) -> Float[np.ndarray, " P"]:
-    """Where φ_s is least within the bounds."""
+    """The minimum of φ_s within the bounds."""
     free = fit.free
     low, high, x = box.low[free], box.high[free], fit.x.copy()
     x[free] = np.clip(x[free], low, high)
@@ -307,7 +307,7 @@ def _least(misfit: _Misfit, fit: FitState, box: Box) -> Float[np.ndarray, " P"]:
         gradient = misfit.gradient + misfit.hessian @ (x - fit.x)[free] - terms.slope
         root = np.linalg.cholesky(misfit.hessian + np.diag(terms.curvature + _FLAT))
         bounds = np.clip(low - x[free], -_LONGEST, 0.0), np.clip(high - x[free], 0.0, _LONGEST)
-        # A least-squares problem with bounds needs some room between them.
+        # The bounds of this least-squares problem must not coincide.
         room = np.maximum(bounds[1] - bounds[0], 1e-12)
         step = lsq_linear(root.T, -solve_triangular(root, gradient, lower=True), (bounds[0], bounds[0] + room)).x
         x[free] = np.clip(x[free] + step, low, high)
@@ -317,9 +317,9 @@ def _least(misfit: _Misfit, fit: FitState, box: Box) -> Float[np.ndarray, " P"]:
 
 
 def moved_by(search: Search, fit: FitState, plain: Box, box: Box) -> np.ndarray | None:
-    """By how much the width moves what the fits to the folds predict of what each leaves out, (n, J).
+    """The change of the held-out predictions of all folds due to the width of the priors, (n, J).
 
-    None where the derivatives were too many to be kept: so many samples leave the priors nothing to say.
+    None if the derivatives are too many to be stored: with so many samples, the priors have hardly any influence.
     """
     if not fit.slopes.size or not np.isfinite(fit.cost):
         return None

@@ -1,5 +1,5 @@
-"""Models that were fitted, under numerical experiments: what each effect does, what an explanation is called for it, and what the
-specimen does in the quantities of an engineer."""
+"""Numerical experiments on fitted models: the behaviour of each effect, the names of the effects by this behaviour, and the
+behaviour of the specimens in engineering quantities."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,13 +22,13 @@ from hsed_jax.physics.names import by_owner, named, own_name, owner_of
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.simulator import Simulator
 
-# Histories that must be simulated before anything is read from them.
+# Least number of simulated histories for an evaluation.
 _ENOUGH = 8
-# Draws of a posterior that are examined.
+# Number of posterior draws that are simulated.
 _DRAWS = 24
-# A driver is told that predicts so much of what differs.
+# A driver is reported if it predicts this share of the differences between histories.
 _TOLD = 0.1
-# Of these it is said that they stay.
+# If these quantities do not change, the report states it.
 _STEADY = ("initial_stiffness", "strength")
 _SIDES = {"+": "tension", "-": "compression"}
 
@@ -37,12 +37,12 @@ Drawn = Sequence[dict[str, float]]
 
 
 class Probe(NamedTuple):
-    """Numerical experiments on models of a problem.
+    """Numerical experiments on the models of a problem.
 
     Attributes:
-        problem: what is diagnosed.
+        problem: the problem of the diagnosis.
         simulator: its model with every candidate.
-        visited: what the data visited.
+        visited: the range of the data.
     """
 
     problem: Problem
@@ -51,34 +51,34 @@ class Probe(NamedTuple):
 
     @property
     def is_component_test(self) -> bool:
-        """Whether the data are of one specimen alone, whose elongation a laboratory imposes, without inputs to choose."""
+        """Whether the data are from tests of a specimen alone, with an imposed elongation and without inputs to choose."""
         is_alone = self.simulator.structure is None and len(self.simulator.elements) == 1
         return is_alone and self.simulator.excitation is None and not self.problem.candidates
 
     def called(self, model: Model) -> Set:
-        """The effects of a model by the names of what they do; those that the table leaves alone by their own."""
+        """The effects of a model, named by their behaviour; an effect whose behaviour has no name keeps its own name."""
         traits = self.traits(model)
         return frozenset(self.name(effect, traits) for effect in model.effects)
 
     def name(self, effect: str, traits: Mapping[str, Trait]) -> str:
-        """The name of what an effect does, where another one stands for it that the problem has, else its own."""
+        """The name of an effect by its behaviour, if the problem has an effect of this name; otherwise its own name."""
         instead = named(owner_of(effect), called(own_name(effect), traits.get(effect)))
         return instead if instead in self.problem.effects else effect
 
     def traits(self, model: Model) -> dict[str, Trait]:
-        """What each effect of a model does in the main, of those that a name stands for."""
+        """The main behaviour of each effect of a model; effects whose behaviour has no name are omitted."""
         found: dict[str, Trait] = {}
         for element in self.simulator.elements:
             found |= self._traits_in(model, element)
         return found
 
     def behaviours(self, plain: Model, best: Model, sampled: Sampled) -> Behaviours:
-        """What the specimens do in the best model, from the virgin one to the end of the test.
+        """The behaviour of the specimens in the best model, from the virgin specimen to the end of the test.
 
         Arguments:
-            plain: the model as it was.
+            plain: the first model (without effects).
             best: the model with the named effects.
-            sampled: of the posterior of the best model.
+            sampled: sample of the posterior of the best model.
         """
         changes: list[Behaviour] = []
         steady: dict[str, float] = {}
@@ -104,7 +104,7 @@ class Probe(NamedTuple):
         return Behaviours(sorted(changes, key=_place), steady, curves, PLACES, self.problem.pair)
 
     def _along(self, model: Model, element: Element, draws: Drawn) -> dict[str, Float[np.ndarray, "S places"]] | None:
-        """Quantities along the test, by draw; None where too few can be simulated."""
+        """Quantities along the test, by draw; None if fewer than half of the draws can be simulated."""
         histories = along_the_test(self.visited, self.step(draws[0], element))
         specimen = self._specimen(model, element)
         found = answers(specimen, draws, histories)
@@ -115,7 +115,7 @@ class Probe(NamedTuple):
         return {name: np.stack([one[name] for one in read]) for name in read[0]}
 
     def _drivers(self, model: Model, element: Element) -> dict[str, dict[str, float]]:
-        """With what each quantity of the best fit changes over the range of the data."""
+        """The drivers of each quantity in the best fit over the range of the data, with their predictivity."""
         fit = self.fitted(model)
         histories = over_the_range(self.visited, self.step(fit, element))
         found = answers(self._specimen(model, element), [fit], histories)
@@ -128,12 +128,12 @@ class Probe(NamedTuple):
     def _change(
         self, name: str, values: Float[np.ndarray, "S places"], sizes: Mapping[str, float], element: Element
     ) -> Behaviour | None:
-        """A quantity that changes from the virgin specimen to the end of the test; None where it hardly does.
+        """A quantity that changes from the virgin specimen to the end of the test; None if it hardly changes.
 
         Arguments:
             name: of the quantity, with its side.
-            values: by draw.
-            sizes: what some quantities are large or small beside.
+            values: by draw and position along the test.
+            sizes: reference sizes of some quantities, by name.
             element: the specimen.
         """
         quantity, side = name.rstrip("+-"), name[-1]
@@ -141,7 +141,7 @@ class Probe(NamedTuple):
         unit = QUANTITIES[quantity][1]
         scale = sizes.get(quantity, max(abs(first.mean()), abs(last.mean())) if unit != "1" else 1.0)
         low, high = np.quantile(last - first, [0.05, 0.95])
-        # The interval of the change is on one side, and the change is of practical size.
+        # The 90 % interval of the change is on one side of zero, and the mean change has a practical size.
         if not (low * high > 0 and abs(np.mean(last - first)) > PRACTICAL * scale):
             return None
         return Behaviour(
@@ -158,7 +158,7 @@ class Probe(NamedTuple):
     def _apart(
         self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], element: Element
     ) -> list[Behaviour]:
-        """Quantities that stay along the test and are not those of the model as it was, the most different first."""
+        """Quantities that are constant along the test and differ from those of the first model, the largest difference first."""
         found: list[tuple[float, Behaviour]] = []
         for name in _LASTING:
             was, now = float(before[name].mean()), after[name].mean(axis=1)
@@ -172,7 +172,7 @@ class Probe(NamedTuple):
         return [one for _, one in sorted(found, key=lambda one: -one[0])]
 
     def _added(self, model: Model, element: Element, draws: Drawn) -> list[Behaviour]:
-        """Forces that effects add, which depend on the elongation or on the rate alone."""
+        """Forces that effects add and that depend on the elongation alone or on the rate alone."""
         mains = self._traits_in(model, element)
         adding = [effect for effect, main in mains.items() if main.quantity in ("elastic_force", "rate_force")]
         found: list[Behaviour] = []
@@ -199,14 +199,14 @@ class Probe(NamedTuple):
         return found
 
     def _traits_in(self, model: Model, element: Element) -> dict[str, Trait]:
-        """What each effect of a model does in the main in a specimen."""
+        """The main behaviour of each effect of a model in a specimen."""
         found = self._contributions(model, element, [self.fitted(model)], self._effects(model, element))
         return {effect: main for effect, (own, *_) in found.items() if (main := trait(own)) is not None}
 
     def _contributions(
         self, model: Model, element: Element, draws: Drawn, own: Sequence[str]
     ) -> dict[str, list[Contribution]]:
-        """What effects of a model do in a specimen, by draw."""
+        """The influence of effects of a model in a specimen, by effect and draw."""
         if not own:
             return {}
         histories = over_the_range(self.visited, self.step(draws[0], element))
@@ -225,11 +225,11 @@ class Probe(NamedTuple):
         return found
 
     def forces(self, model: Model, thetas: Sequence[np.ndarray], element: Element, histories: Imposition) -> Answers:
-        """The answers of a specimen to imposed histories, with the effects of a model and several θ, (P,) each."""
+        """The forces of a specimen under imposed histories, with the effects of a model and several θ, (P,) each."""
         return answers(self._specimen(model, element), [self._named(model, theta) for theta in thetas], histories)
 
     def step(self, parameters: Mapping[str, float], element: Element) -> float:
-        """The longest change of the elongation in a step with which a specimen is followed [m]."""
+        """The longest change of the elongation in a step of the simulation of a specimen [m]."""
         known = {**dict(self.simulator.constants), **parameters}
         law = element.law(**element.parameters(by_owner(known)))
         return longest_step(float(law.yield_elongation), self.visited.elongation)
@@ -253,24 +253,24 @@ class Probe(NamedTuple):
         return self._named(model, self.problem.models.theta(model.fit.x, model.fit.submodel))
 
     def _drawn(self, model: Model, sampled: Sampled) -> Drawn:
-        """Draws of equal weight."""
+        """Draws of equal weight from a weighted sample."""
         shares = (np.arange(_DRAWS) + 0.5) / _DRAWS
         rows = np.searchsorted(np.cumsum(sampled.weights) / np.sum(sampled.weights), shares)
         return [self._named(model, sampled.thetas[min(k, len(sampled.thetas) - 1)]) for k in rows]
 
     def _named(self, model: Model, theta: np.ndarray) -> dict[str, float]:
-        """Parameters of the law and of the effects of a model."""
+        """Parameters of the law and of the effects of a model, by name."""
         has = {"", *model.effects, *(element.name for element in self.simulator.elements)}
         return {n: float(v) for n, v in zip(self.problem.names, theta, strict=True) if owner_of(n) in has}
 
     def _absent(self, effect: str) -> dict[str, float]:
-        """The parameters that make an effect absent."""
+        """The amplitude of an effect at its neutral value, at which the effect is absent."""
         amplitude = next(iter(parameters_of(self.problem.catalogue[effect]).values()))
         assert amplitude.neutral is not None
         return {f"{effect}.{amplitude.name}": amplitude.neutral}
 
 
-# What is told of a specimen that stays as it is.
+# These quantities are compared with the first model if nothing changes along the test.
 _LASTING = ("recentring", "initial_stiffness", "strength+", "pinching_ratio", "sharpness")
 
 
@@ -280,14 +280,14 @@ def _value(values: np.ndarray) -> Value:
 
 
 def _read(one: Behaviour) -> str:
-    """The name under which a quantity was read."""
+    """The name under which a quantity was evaluated, with its side."""
     signs = {side: sign for sign, side in _SIDES.items()}
     has_sides = one.quantity in ("strength", "unloading_stiffness")
     return one.quantity + (signs.get(one.sides, "+") if has_sides else "")
 
 
 def _both_sides(found: Sequence[Behaviour | None]) -> list[Behaviour]:
-    """Changes, of which those that both sides have alike are one, the one of tension."""
+    """Changes; if both sides have the same change, only the one in tension is kept, for both sides."""
     changes = [one for one in found if one is not None]
     twins = {(one.quantity, one.change) for one in changes if one.sides == "compression"}
     alike = {(one.quantity, one.change) for one in changes if one.sides == "tension"} & twins
@@ -299,7 +299,7 @@ def _both_sides(found: Sequence[Behaviour | None]) -> list[Behaviour]:
 
 
 def _place(one: Behaviour) -> int:
-    """Changes are told in the order of the quantities."""
+    """The position of a change in the report: changes have the order of the quantities."""
     return [*QUANTITIES].index(one.quantity)
 
 

@@ -1,4 +1,4 @@
-"""What a diagnosis works on: the measurements, and the model with every candidate effect in it."""
+"""The problem of a diagnosis: the measurements, and the model with every candidate effect."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -23,7 +23,7 @@ class FormColumns(NamedTuple):
     Attributes:
         form: the form.
         columns: indices of its free parameters, the amplitude first, (q,).
-        held: what it holds other parameters at, by index.
+        held: values of the other parameters that the form fixes, by index.
     """
 
     form: Form
@@ -36,13 +36,13 @@ Forms = Mapping[str, FormColumns]
 
 
 def amplitude_of(forms: Forms) -> tuple[int, Mapping[int, float]]:
-    """The amplitude of an effect in its default form, and what that holds."""
+    """Index of the amplitude of an effect in its default form, and the values that this form fixes."""
     form = next(iter(forms.values()))
     return int(form.columns[0]), form.held
 
 
 def of_simplest_shape(forms: Forms) -> list[str]:
-    """The forms of the default one's shape, with whatever driver that has no parameters of its own."""
+    """The forms with the shape of the default form and any driver that has no parameters of its own."""
     default = next(iter(forms.values()))
     return [
         label
@@ -52,39 +52,39 @@ def of_simplest_shape(forms: Forms) -> list[str]:
 
 
 def of_other_drivers(forms: Forms, label: str) -> list[str]:
-    """The forms with whatever driver: of the same shape, and of the simplest one, whose fit misses no driver for its shape."""
+    """The forms with any driver, in the same shape and in the simplest one, so that no driver fails because of its shape."""
     simplest = min(forms.values(), key=lambda form: len(form.columns)).form.name
     return [other for other, form in forms.items() if form.form.name in (forms[label].form.name, simplest)]
 
 
 def of_other_shapes(forms: Forms, label: str) -> list[str]:
-    """The forms with the same driver, of whatever shape."""
+    """The forms with the same driver and any shape."""
     return [other for other, form in forms.items() if form.form.driver == forms[label].form.driver]
 
 
 class Problem(NamedTuple):
-    """What a diagnosis works on.
+    """The problem of a diagnosis.
 
     Attributes:
-        models: the model with every candidate effect in it.
+        models: the model with every candidate effect.
         names, units: of its parameters.
         catalogue: the candidates.
-        law: indices of the parameters that are free without any candidate.
+        law: indices of the parameters that are free in every model.
         effects: the forms of each candidate.
         scales: characteristic values.
-        train, test: measured experiments; the first rows of the conditions of a batch, in this order.
+        train, test: measured experiments; their rows are the first ones of the conditions of a batch, in this order.
         experiments: the training experiments.
         outputs: names of the outputs.
-        candidates: inputs of experiments that could be made, in declared units; the rows after those measured.
-        pending: how many of these, the last ones, are being performed, and will be known before another one is.
+        candidates: inputs of candidate experiments, in declared units; their rows follow those of the measured ones.
+        pending: number of candidates, the last ones, that are being performed; their results precede any other experiment.
         seed: of random numbers.
-        start: the model as it is, as a calibration left it, (P,); None where there was none.
-        notes: what a reader should know of the candidates, in sentences.
-        pair: that the specimen is measured in.
+        start: x of the first model (without candidates) from a calibration, (P,); None without a calibration.
+        notes: sentences on the candidates for the reader.
+        pair: the pair of quantities in which the specimen is measured.
         held_out: the experiments of `test`.
-        opened: parameters of the law whose priors are open here, since the calibration leans on their bounds.
-        simulator: the model as one of springs, with every candidate in it; None where it is none.
-        visited: what the specimens went through; None where there is no such model.
+        opened: parameters of the law whose prior bounds are removed, because their calibrated values are on these bounds.
+        simulator: the spring model with every candidate; None for a model of another kind.
+        visited: the range of the data; None for a model of another kind.
     """
 
     models: NestedModels
@@ -111,11 +111,11 @@ class Problem(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """How many experiments were measured."""
+        """The number of measured experiments."""
         return len(self.train.values) + (0 if self.test is None else len(self.test.values))
 
     def of_few(self, most: int) -> "Problem | None":
-        """The problem with so many training experiments of histories, evenly chosen; None where there are no more."""
+        """The problem with `most` training experiments, evenly chosen; None if it has no more, or if an output is no history."""
         count = len(self.train.values)
         is_history = np.bincount(self.train.groups).min() > 1
         if count <= most or not is_history:
@@ -130,5 +130,5 @@ class Problem(NamedTuple):
         )
 
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: Float[np.ndarray, "r J"]) -> Float[np.ndarray, "r J"]:
-        """Errors of experiments that were not made, from predictions: relative ones need a magnitude."""
+        """Errors of experiments that are not made, from predictions: a relative error needs a magnitude."""
         return errors[self.train.groups] * self.train.expected_scales(predicted, np.ones(predicted.shape))

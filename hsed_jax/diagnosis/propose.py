@@ -1,4 +1,4 @@
-"""Which effects are worth a fit beside a fitted model, in what simplest shape and from where."""
+"""Selection of the effects to fit beside a fitted model, in the shape of their default forms, and of their starts."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,28 +10,28 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms
 from hsed_jax.diagnosis.scores import Linearisation, PredictedGain, telling
 
-# Effects that are fitted, and beside the default driver of each the drivers with the largest predicted gains.
+# Number of effects to fit, and number of drivers of each beside its default one; both have the largest predicted gains.
 _REACH, _DRIVERS = 8, 2
-# Starts of each.
+# Number of starts of each fit.
 _STARTS = 2
 
 Proposals = Mapping[Choice, list[np.ndarray]]
-"""Choices to fit, and the points to fit them from."""
+"""Choices to fit, and the starts of their fits."""
 
 
 def beside(
     models: NestedModels, target: Target, fit: FitState, top: Choice, effects: Mapping[str, Forms], is_best: bool
 ) -> Proposals:
-    """One effect beside a fitted model: the effects with the largest predicted gains, by their best drivers.
+    """Choices with one effect beside a fitted model: the effects with the largest predicted gains, with their best drivers.
 
     Arguments:
         models: of the fit.
-        target: what was fitted.
-        fit: the model.
-        top: its effects in their forms.
+        target: the data of the fit.
+        fit: the fit state of the model.
+        top: the effects of the model, in their forms.
         effects: the candidates.
-        is_best: it is the best model so far; of another one, a part of the best, fewer are proposed: what stands in place of the
-            rest is looked at closely once it leads.
+        is_best: whether the model is the best one so far.  Beside another model, a part of the best one, fewer effects are
+            proposed, because a set with an exchanged effect is examined again when it is the best one.
     """
     predicted_gains = predicted_gains_of(models, target, fit, effects)
     ranked = list(predicted_gains)
@@ -53,14 +53,14 @@ def pairs(
     effects: Mapping[str, Forms],
     each: int,
 ) -> Proposals:
-    """Pairs of effects: beside each fitted single effect those with the largest predicted gains, in their default forms.
+    """Pairs of effects: beside each fitted single effect, those with the largest predicted gains, in their default forms.
 
     Arguments:
         models: of the fits.
-        target: what was fitted.
-        singles: models of one effect.
+        target: the data of the fits.
+        singles: models with one effect.
         effects: the candidates.
-        each: how many are proposed beside each.
+        each: number of proposals beside each single effect.
     """
     chosen: dict[Choice, list[np.ndarray]] = {}
     for top, fit in singles:
@@ -77,6 +77,6 @@ def pairs(
 def predicted_gains_of(
     models: NestedModels, target: Target, fit: FitState, effects: Mapping[str, Forms]
 ) -> dict[str, dict[str, list[PredictedGain]]]:
-    """The predicted gains of each effect by its drivers, the largest first."""
+    """The predicted gains of each effect, by driver; the effect with the largest gain is the first one."""
     found = Linearisation(models, target, fit, telling(target, fit)).of_places(effects)
     return dict(sorted(found.items(), key=lambda one: -max(best.gain for best, *_ in one[1].values())))

@@ -1,4 +1,4 @@
-"""Explanations that are as good: which effects stand for one another, and which experiment would tell them apart."""
+"""Equally good explanations: the effects that can replace one another, and the experiment that separates them best."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,25 +13,25 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.search import Search
 
-# Rivals whose odds against the best are at least this are as good: to be named, an effect needs ten, too.
+# Rivals with at least these odds against the best model count as equally good.
 _AS_GOOD = 1 / 10
-# A model whose odds against the best are less than this is excluded.
+# A model with lower odds than these against the best model is excluded.
 _EXCLUDED = 0.01
-# Sd of a parameter that neither data nor bounds hold, in coordinates of order one.
+# Largest sd of a parameter without information from data or bounds, in coordinates of order one.
 _WIDEST = 10.0
 WORTHWHILE = 1.0
-"""Expected log Bayes factor that makes an experiment worth proposing."""
+"""Least expected log Bayes factor of an experiment that is proposed [nats]."""
 
 
 def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Float[np.ndarray, " c"]:
-    r"""Expected log Bayes factor between rivals of each candidate experiment [nats]; zero where a simulation diverges.
+    r"""Expected log Bayes factor between rivals for each candidate experiment [nats]; zero if a simulation diverges.
 
-    Where experiments are pending, it is what a candidate adds to these: experiments that are out at once tell together.
+    With pending experiments, it is what a candidate adds to these, because all their results will be known together.
 
-    Each rival predicts an experiment as a Gaussian, $N(f, J C J^\top + \Sigma)$: what its parameters do not know yet they can
-    still learn, and a difference that a refit would absorb tells nothing.  Between two Gaussians the expectation is the
-    divergence of Kullback & Leibler (1951) from the one that is true (Box & Hill 1967), averaged over the pairs of rivals and
-    over which is true by their probabilities.
+    Each rival predicts an experiment as a Gaussian, $N(f, J C J^\top + \Sigma)$.  The covariance C of its parameters is included,
+    so that a difference which a new fit would absorb does not count.  For two Gaussians, the expectation is the Kullback–Leibler
+    divergence (1951) from the true one (Box & Hill 1967).  It is averaged over the pairs of rivals and over which rival of a
+    pair is true, weighted by their probabilities.
     """
     rows = problem.rows + np.arange(len(problem.candidates))
     count = len(rows) - problem.pending
@@ -43,11 +43,11 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
 
 
 class Predictive(NamedTuple):
-    """What a rival predicts of experiments: Gaussians N(f, L Lᵀ + noise).
+    """Predictions of a rival for experiments: Gaussians N(f, L Lᵀ + noise).
 
     Attributes:
         mean: f, outputs in SI, (c, J).
-        spread: L, what the parameters do not know yet, (c, J, p).
+        spread: L, from the uncertainty of the parameters, (c, J, p).
         ok: whether the simulation converged, (c,).
     """
 
@@ -59,13 +59,13 @@ class Predictive(NamedTuple):
 def expected_log_bayes_factor(
     predictions: Sequence[Predictive], root: Float[np.ndarray, "c J"], shares: Float[np.ndarray, " m"], pending: int = 0
 ) -> Float[np.ndarray, " n"]:
-    """Expected log Bayes factor between rivals of each experiment that is not pending [nats], (n,).
+    """Expected log Bayes factor between rivals for each experiment that is not pending [nats], (n,).
 
     Arguments:
         predictions: of the rivals.
         root: one over the standard deviation of the noise.
         shares: probabilities of the rivals.
-        pending: how many experiments, the last ones, are known before any other is.
+        pending: number of experiments, the last ones, whose results are known before those of any other experiment.
     """
     count = len(root) - pending
     information = np.zeros(count)
@@ -87,8 +87,8 @@ class Around(NamedTuple):
 
     Attributes:
         points: the fit, then one step along each coordinate, (P,) each.
-        steps: (p,).
-        factor: of the covariance of the free coordinates, (p, p).
+        steps: lengths of the steps, (p,).
+        factor: factor L of the covariance L Lᵀ of the free coordinates, (p, p).
     """
 
     points: list[Float[np.ndarray, " P"]]
@@ -102,7 +102,7 @@ def around(models: NestedModels, fit: FitState) -> Around:
     _, covariance = gaussian(fit)
     low, high = box.low[fit.free], box.high[fit.free]
     deviation = np.sqrt(np.diag(covariance))
-    # A parameter nobody holds is spread over its box, and no further.
+    # The sd of a parameter without information is limited to half the width of the box.
     shrink = np.minimum(1.0, np.where(np.isfinite(high - low), 0.5 * (high - low), _WIDEST) / deviation)
     factor = shrink[:, None] * np.linalg.cholesky(covariance + 1e-12 * np.diag(deviation**2))
     steps = 0.1 * np.minimum(shrink * deviation, 1.0)
@@ -118,36 +118,36 @@ def around(models: NestedModels, fit: FitState) -> Around:
 def spread_of(
     near: Around, outputs: Float[np.ndarray, "p1 c J"], ok: Float[np.ndarray, "p1 c"]
 ) -> Float[np.ndarray, "c J p"]:
-    """L of `Predictive`, from the outputs at the points; a coordinate whose simulation diverges has no derivative."""
+    """L of `Predictive`, from the outputs at the points; the derivative is zero if the simulation of a coordinate diverges."""
     slopes = (outputs[1:] - outputs[0]) * ok[1:, :, None] / near.steps[:, None, None]
     return np.einsum("pcj,pq->cjq", slopes, near.factor)
 
 
 def predictive(models: NestedModels, fit: FitState, rows: np.ndarray) -> Predictive:
-    """What a fitted model predicts of the experiments in `rows`."""
+    """The predictions of a fitted model for the experiments in `rows`."""
     near = around(models, fit)
     outputs, ok = models.predict([(x, fit.submodel) for x in near.points], rows)
     return Predictive(outputs[0], spread_of(near, outputs, ok), ok[0])
 
 
 def _told(apart: np.ndarray, true: np.ndarray, other: np.ndarray, ok: np.ndarray, count: int) -> np.ndarray:
-    """What the first experiments tell [nats], (count,), each beside all further ones, which are pending.
+    """Information from each of the first `count` experiments, in addition to all other ones, which are pending [nats], (count,).
 
-    The one prediction is N(δ, I + T Tᵀ), the other N(0, I + O Oᵀ): δ (c, J), T and O (c, J, p).
+    The true prediction is N(δ, I + T Tᵀ), the other one N(0, I + O Oᵀ): δ (c, J), T and O (c, J, p).
     """
     directions = np.concatenate([true, other, apart[..., None]], axis=2)
     sizes = [true.shape[2], true.shape[2] + other.shape[2]]
     known = np.where(ok[count:, None, None], directions[count:], 0.0).reshape(-1, directions.shape[2])
     if not len(known):
         return _divergence(directions, sizes)
-    # Only products of the columns matter, and a triangle has those of all pending samples.
+    # Only products of the columns matter, and a triangular factor has the same products as all pending samples.
     triangle = np.linalg.qr(known, mode="r")
     beside = np.broadcast_to(triangle, (count, *triangle.shape))
     return _divergence(np.concatenate([directions[:count], beside], axis=1), sizes) - _divergence(triangle[None], sizes)
 
 
 def _divergence(columns: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
-    """From N(δ, I + T Tᵀ) to N(0, I + O Oᵀ) [nats], (c,): they differ in few directions, the columns T, O and δ (c, J, ·)."""
+    """Divergence from N(δ, I + T Tᵀ) to N(0, I + O Oᵀ) [nats], (c,), in the few directions of the columns T, O, δ (c, J, ·)."""
     directions = np.linalg.qr(columns, mode="r")
     t, o, delta = np.split(directions, sizes, axis=2)
     size = directions.shape[1]
@@ -161,7 +161,7 @@ def _divergence(columns: np.ndarray, sizes: Sequence[int]) -> np.ndarray:
 def next_experiment(
     problem: Problem, information: Float[np.ndarray, " c"]
 ) -> tuple[dict[str, float] | None, float | None]:
-    """The candidate that separates rivals best and what it is expected to tell [nats]; None where none would tell."""
+    """The candidate that separates rivals best, and its expected log Bayes factor [nats]; None if none is worthwhile."""
     if not information.size or information.max() < WORTHWHILE:
         return None, None
     best = int(np.argmax(information))
@@ -169,20 +169,20 @@ def next_experiment(
 
 
 def shares_of(models: Sequence[Model]) -> Float[np.ndarray, " m"]:
-    """Probabilities of models among themselves; alike where none was scored."""
+    """Probabilities of models, normalised to a sum of one; equal if none was scored."""
     found = np.asarray([m.probability for m in models])
     return found / found.sum() if found.any() else np.full(len(found), 1 / len(found))
 
 
 def rivals_of(models: Sequence[Model], best: Model) -> list[Model]:
-    """Models that name something else, and no more effects, and are as good as the best; a part of it is not something else."""
+    """Models that are as good as the best one, with no more effects, of which at least one is not in the best model."""
     as_good = _instead(models, best, _AS_GOOD)
     return [m for m in as_good if len(m.effects) <= len(best.effects) and not m.effects < best.effects]
 
 
 def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequence[Model]) -> list[list[str]]:
-    """For each named effect, those that could stand in its place: with predictions that differ by less than the noise, and not
-    excluded, since many samples tell what no single one does."""
+    """For each named effect, the effects that can replace it.  Their predictions differ by less than the noise of a sample, but
+    many samples together may still exclude an effect; such an effect is omitted."""
     rows = np.arange(problem.rows + len(problem.candidates))
     groups: list[list[str]] = []
     for effect in sorted(best.effects):
@@ -207,17 +207,17 @@ def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequen
 
 
 def _instead(models: Sequence[Model], best: Model, least: float) -> list[Model]:
-    """Other models whose odds against the best are at least so much."""
+    """Other models with at least these odds against the best one."""
     return [m for m in models if m.effects != best.effects and m.probability >= least * best.probability > 0]
 
 
 def difference(best: Set, rival: Set) -> list[str]:
-    """What two sets do not share: the effects that stand for one another."""
+    """The effects that only one of two sets has, so that they replace one another."""
     return [*sorted(best - rival), *sorted(rival - best)] or sorted(best)
 
 
 def joined(groups: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Groups that share a member, as one."""
+    """The groups, after those with a common member are merged."""
     joined: list[list[str]] = []
     for group in groups:
         touching = [known for known in joined if set(known) & set(group)]

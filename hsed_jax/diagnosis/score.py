@@ -1,16 +1,16 @@
-r"""What models are worth: the log density of measurements that they were not fitted to.
+r"""The score of models: the log density of measurements that they were not fitted to.
 
-The measurements are left out part by part.  A model is fitted to the rest, predicts the part, and scores
+The measurements are left out part by part.  A model is fitted to the rest, predicts the part, and has the score
 
 $$s = -\tfrac12\sum_{i}\Big(\frac{y_i - f_i(\hat\theta)}{\sigma_i}\Big)^2$$
 
-nats, up to a constant that all models share.  σ is the largest of three: the declared noise, what the best model of the round
-leaves where it is fitted, and what the best model of all leaves of this part of an experiment.  So a part that no model predicts
-does not outweigh all others.
+nats, up to a constant that all models share.  σ is the largest of three: the declared noise, the residual of the best fit of the
+round, and the residual of the model that predicts this part of an experiment best.  A part that no model predicts therefore does
+not outweigh all others.
 
-A sum of nats is as uncertain as the pieces that it is made of differ.  Samples of a smooth residual are not independent, but
-pieces of a history are nearly so.  The probabilities of several models are therefore averages over the Bayesian bootstrap of the
-pieces, with the prior probabilities π of the models (pseudo-BMA+, Yao et al. 2018):
+The scatter of the score between pieces of the data gives its uncertainty.  Samples of a smooth residual are not independent, but
+pieces of a history are nearly independent.  The probabilities of the models are therefore averages over the Bayesian bootstrap of
+the pieces, with the prior probabilities π of the models (pseudo-BMA+, Yao et al. 2018):
 
 $$p_M = \mathrm E_b\,\frac{\pi_M\,e^{\sum_p b_p s_{Mp}}}{\sum_N \pi_N\,e^{\sum_p b_p s_{Np}}},
   \qquad b\sim P\,\mathrm{Dirichlet}(1).$$
@@ -34,29 +34,29 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.likelihood import whitened
 
 ODDS = 4.0
-"""Odds that more effects, or more parameters, need: they predict better in four of five resamplings of the pieces."""
+"""Least odds of a model with more effects or more parameters: it predicts better in four of five resamplings of the pieces."""
 
 MATERIAL = 0.1
-"""An effect is material that takes away this share of the squared error beyond the noise: a formula is off by as much."""
+"""An effect is material if it removes this share of the squared error beyond the noise, about the error of a formula."""
 
-# Of more experiments than so few, they are left out in turn: two parts say nothing of how sure their mean is.
+# More experiments than this are left out in turn: two parts do not give the uncertainty of their mean.
 _FEW = 2
 _FOLDS = 6
 _BLOCKS = 4
-# A history that is left out makes so many pieces.
+# Number of pieces of a history that is left out.
 _PIECES = 8
-# Draws of the bootstrap: a weight is known to a hundredth.
+# Draws of the bootstrap: the accuracy of a weight is about 0.01.
 _DRAWS = 2000
 
 
 class Folds(NamedTuple):
-    """What to fit and what to predict from it, (F, n, J) each; the first fold is all the data and nothing left out."""
+    """The fitted and the held-out data of each fold, (F, n, J) each; the first fold fits all data and leaves nothing out."""
 
     fitted: Bool[np.ndarray, "F n J"]
     left_out: Bool[np.ndarray, "F n J"]
 
     def pieces(self, groups: Int[np.ndarray, " J"]) -> Int[np.ndarray, "n J"]:
-        """The piece that each sample belongs to, −1 where a sample is never left out; a piece is of one part and experiment."""
+        """Number of the piece of each sample, −1 if it is never left out; a piece is within one fold, experiment and output."""
         found, count = np.full(self.left_out.shape[1:], -1), 0
         for part in self.left_out[1:]:
             for row in np.flatnonzero(part.any(axis=1)):
@@ -68,22 +68,22 @@ class Folds(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """What a model gains over another one in predictions of what was not fitted.
+    """The gain of a model over another one in the log density of held-out data.
 
     Attributes:
-        parts: of every part that was left out, (P,); minus infinity where a simulation fails.
+        parts: gain of each piece of the held-out data [nats], (P,); minus infinity if a simulation fails.
     """
 
     parts: Float[np.ndarray, " P"]
 
     @property
     def total(self) -> float:
-        """Over the parts."""
+        """Sum over the pieces; minus infinity if a simulation fails."""
         return float(np.sum(self.parts)) if np.isfinite(self.parts).all() else -math.inf
 
     @property
     def standard_error(self) -> float:
-        """Of the total; infinite where that is."""
+        """Standard error of the total; infinite if a simulation fails."""
         if not np.isfinite(self.parts).all():
             return math.inf
         count = len(self.parts)
@@ -93,12 +93,12 @@ class Gain(NamedTuple):
 def weights_of(
     densities: Float[np.ndarray, "M P"], log_priors: Float[np.ndarray, " M"], draws: int = _DRAWS
 ) -> Float[np.ndarray, " M"]:
-    """Probabilities of models by what they predict.
+    """Probabilities of models from their scores.
 
     Arguments:
-        densities: log densities of each model by piece; minus infinity where a simulation fails.
+        densities: log densities of each model by piece; minus infinity if a simulation fails.
         log_priors: of the models.
-        draws: of the Bayesian bootstrap.
+        draws: number of draws of the Bayesian bootstrap.
     """
     able = np.isfinite(densities).all(axis=1)
     found = np.zeros(len(densities))
@@ -111,24 +111,24 @@ def weights_of(
 
 
 def material(noise: float, before: float, now: float) -> float:
-    """The squared error on data that were not fitted that a further effect has to take away.
+    """The squared error on held-out data that a further effect has to remove.
 
-    It is a share of what the model as it is leaves beyond the noise.  If the model without the effect leaves much more, the noise
-    and this share of the rest are enough.
+    It is the smaller of two values: a share of the squared error of the first model beyond the noise; and the squared noise plus
+    this share of the squared error of the model without the effect beyond the noise.
 
     Arguments:
-        noise: of the outputs, as an error.
-        before: the error of the model as it is.
-        now: that of the model without the effect.
+        noise: noise floor of the outputs, as an error.
+        before: error of the first model.
+        now: error of the model without the effect.
     """
     return min(MATERIAL * max(before**2 - noise**2, 0.0), noise**2 + MATERIAL * max(now**2 - noise**2, 0.0))
 
 
 def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
-    """Several experiments are left out in turn.
+    """The folds: more than two experiments are left out in turn, in six groups at most.
 
-    Of one or two the past predicts the future: the blocks of time before each block are fitted, since a specimen that has been
-    damaged is another one.  Two of which there are no histories are left out in turn, too.
+    With one or two experiments, the past predicts the future: each block of time is predicted from all earlier blocks, because
+    damage changes a specimen.  Two experiments without histories are left out in turn as well.
     """
     n = len(used)
     if n > _FEW or (n > 1 and np.bincount(groups)[groups].min() < _BLOCKS):
@@ -146,25 +146,25 @@ def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
 
 
 class HeldOut:
-    """What models predict of data that they were not fitted to.
+    """Predictions of data that the models were not fitted to.
 
     Arguments:
         models: the large model.
-        measured: the experiments that are fitted.
-        test: experiments that nothing is fitted to, the rows after those measured.
+        measured: the fitted experiments.
+        test: experiments that are never fitted; their rows follow those of the measured ones.
     """
 
     def __init__(self, models: NestedModels, measured: Measured, test: Measured | None):
         self.models, self.measured, self.test = models, measured, test
         self.folds = folds_of(measured.used, measured.groups)
         self._pieces = self.folds.pieces(measured.groups)
-        # What the last target's fits predict, by identity; the fit is kept with it, so that no other one gets its number.
+        # Predictions for the last target by the identity of the fit; the fit is stored as well, so that its number stays unique.
         self._target: Target | None = None
         self._predicted: dict[int, tuple[FitState, np.ndarray | None]] = {}
 
     def unseen(self, target: Target, fits: Sequence[FitState]) -> list[float]:
-        """Error of fits on the test experiments; without any, on those left out in turn (on what comes later, where there
-        are one or two).  Infinite where a simulation fails: what cannot be predicted is no improvement."""
+        """Error of fits on the test experiments; without any, on the data that are left out in turn (the later blocks of time for
+        one or two experiments).  Infinite if a simulation fails, so that a failed prediction is no improvement."""
         if self.test is None:
             return self.errors(target, fits)
         rows = len(self.measured.values) + np.arange(len(self.test.values))
@@ -175,7 +175,7 @@ class HeldOut:
         ]
 
     def errors(self, target: Target, fits: Sequence[FitState]) -> list[float]:
-        """Error of what each model predicts of all that is left out in turn."""
+        """Error of each model on all data that are left out in turn."""
         scored = self.folds.left_out.any(axis=0)
         predicted = self._left_out(target, fits)
         return [math.inf if one is None else self.measured.error(one, scored) for one in predicted]
@@ -183,15 +183,15 @@ class HeldOut:
     def densities(
         self, target: Target, fits: Sequence[FitState], moved: Sequence[np.ndarray | None] | None = None
     ) -> Float[np.ndarray, "M P"]:
-        """Log density of what is left out by model and piece, in nats, up to a constant; minus infinity where one fails.
+        """Log density of the held-out data by model and piece [nats], up to a constant; minus infinity if a simulation fails.
 
         Arguments:
-            target: what is fitted.
+            target: the data of the fits.
             fits: of the models.
-            moved: by how much the predictions of each are to be moved, (n, J), or None; by default none is.
+            moved: by model, a change that is added to its predictions, (n, J), or None; by default None for all models.
         """
         kept = self._pieces >= 0
-        # Of what was not measured there are no pieces.
+        # Only the pieces that contain measurements.
         pieces, piece = np.unique(self._pieces[kept], return_inverse=True)
         squares = np.full((len(fits), len(pieces)), np.inf)
         changes = moved or [None] * len(fits)
@@ -200,13 +200,13 @@ class HeldOut:
                 shifted = predicted if change is None else predicted + change
                 off = np.where(kept, (shifted - target.values) / target.sigma, 0.0)
                 own[:] = np.bincount(piece, whitened(off, target.memory)[kept] ** 2)
-        # The part of an experiment that each piece is of.
+        # The part of the data that each piece belongs to: one fold, one experiment and one output.
         _, part = np.unique(pieces // _PIECES, return_inverse=True)
         lowest = np.min([np.bincount(part, own) for own in squares], axis=0) / np.bincount(part, np.bincount(piece))
         return -0.5 * squares / np.where(np.isfinite(lowest), np.maximum(lowest, 1.0), 1.0)[part]
 
     def _left_out(self, target: Target, fits: Sequence[FitState]) -> list[np.ndarray | None]:
-        """Of each model what it predicts of every part that is left out, (n, J), as `left_out_predictions` says."""
+        """The held-out predictions of each model, (n, J), as from `left_out_predictions`."""
         if target is not self._target:
             self._target, self._predicted = target, {}
         new = list({id(fit): fit for fit in fits if id(fit) not in self._predicted}.values())
@@ -219,13 +219,13 @@ class HeldOut:
 def left_out_predictions(
     models: NestedModels, target: Target, folds: Folds, fits: Sequence[FitState]
 ) -> list[np.ndarray | None]:
-    """Of each model what it predicts of every fold from the others, (n, J); None where a simulation failed.
+    """The predictions of each model for every part of the data, from a fit without this part, (n, J); None if one fails.
 
     Arguments:
         models: of the fits.
-        target: with a use of the data for each fold.
-        folds: what each fold fits and leaves out.
-        fits: of the models to all the data, where those to the folds start.
+        target: with one use of the data for each fold.
+        folds: the fitted and the held-out data of each fold.
+        fits: of the models to all data; the fits to the folds start from them.
     """
     count = len(folds.fitted) - 1
     tasks = [Task(fit.submodel, fit.x, use, known=fit) for fit in fits for use in range(1, count + 1)]

@@ -1,16 +1,16 @@
 r"""Predicted gains of candidates before they are fitted, from a linearisation of a fitted model.
 
-With r the residual and M what remains after the fitted parameters have adjusted to first order, a candidate whose difference from
-the fit is d explains
+Let r be the residual, and M the projection onto what remains after the fitted parameters have adjusted to first order.  A
+candidate that differs from the fit by d explains
 
 $$\max_{0\le s\le 1}\; s\,d^\top M r - \tfrac12 s^2\,d^\top M d$$
 
-nats of it.  At a finite size d is what the effect does, also one that bends or has no derivative at its neutral value (a gap, a
-window, an exponential), and s says where between nothing and that size a fit should start.
+nats of the residual.  At a finite size, d is the simulated influence of the effect, which may be nonlinear or without a
+derivative at its neutral value (a gap, a window, an exponential).  The factor s gives the size from which a fit starts.
 
-At a vanishing size this is Rao's score test (1948).  A test of the residual's size asks whether anything at all is wrong, and
-spreads its power over all samples.  A score test asks in one direction only, and sees there what is a hundred times smaller.
-With K candidates the smallest of K p-values counts as $1-(1-p)^K$ (Šidák 1967).
+At a vanishing size this is Rao's score test (1948).  A test of the size of the residual detects any error, and spreads its power
+over all samples.  A score test examines one direction only, and detects an effect there that is a hundred times smaller.
+With K candidates, the smallest of K p-values counts as $1-(1-p)^K$ (Šidák 1967).
 """
 
 # SciPy comes without types.
@@ -29,23 +29,23 @@ from hsed_jax.diagnosis.fits import spread
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, of_simplest_shape
 
-# Of a difference, in coordinates of order one.
+# Step of a finite difference, in coordinates of order one.
 _STEP = 1e-3
-# A fit starts no closer to nothing than this share of a size that was tried.
+# A fit starts at no less than this share of a size that was tried.
 _LEAST = 0.05
-# So many trials of a form for each of its parameters and one more: where a step comes in a record, few trials tell.
+# Number of trials of a form per parameter, and for one more: a smaller number may not find the time of a step in a record.
 _TRIALS = 4
-# Experiments with this share of what a fit leaves tell what is worth a fit.
+# The experiments with this share of the squared residual of a fit select the candidates to fit.
 _HALF = 0.5
 
 
 class Trial(NamedTuple):
-    """A fitted model with a candidate beside it.
+    """A fitted model with a candidate added.
 
     Attributes:
-        submodel: the model with it.
+        submodel: the model with the candidate.
         x: the fit, with the candidate at some size, (P,).
-        amplitude: index of the coordinate that the size is.
+        amplitude: index of the coordinate of this size.
     """
 
     submodel: Submodel
@@ -58,7 +58,7 @@ class PredictedGain(NamedTuple):
 
     Attributes:
         gain: nats, with the fitted parameters adjusted to first order.
-        start: where to fit from, (P,).
+        start: the start of a fit, (P,).
     """
 
     gain: float
@@ -66,13 +66,13 @@ class PredictedGain(NamedTuple):
 
 
 class Linearisation:
-    """A fitted model to first order: its residual, and the part of it that its own parameters cannot explain.
+    """A fitted model to first order: its residual, and the part of a change that its own parameters cannot explain.
 
     Arguments:
         models: of the fit.
-        target: what was fitted.
-        fit: the model.
-        rows: of these experiments; by default of all.
+        target: the data of the fit.
+        fit: the fit state of the model.
+        rows: indices of the experiments; by default all.
     """
 
     def __init__(self, models: NestedModels, target: Target, fit: FitState, rows: Int[np.ndarray, " r"] | None = None):
@@ -88,10 +88,10 @@ class Linearisation:
         self._basis, _ = np.linalg.qr((slopes / np.asarray([step for _, step in moved])[:, None]).T)
 
     def score_tests[T](self, amplitudes: Mapping[T, tuple[int, Mapping[int, float]]]) -> dict[T, float]:
-        r"""Rao's score statistic of amplitudes at their neutral values, $\chi^2_1$ where an effect is absent.
+        r"""Rao's score statistic of amplitudes at their neutral values, distributed as $\chi^2_1$ if an effect is absent.
 
         Arguments:
-            amplitudes: the index of each, and what other parameters are held at beside it.
+            amplitudes: the index of each amplitude, and the values of other parameters that are held beside it.
         """
         places = [self._moved(self._x, k) for k, _ in amplitudes.values()]
         submodels = [self._fit.submodel.beside(np.asarray([k]), held) for k, held in amplitudes.values()]
@@ -116,7 +116,7 @@ class Linearisation:
         return found
 
     def of_places(self, effects: Mapping[str, Forms]) -> dict[str, dict[str, list[PredictedGain]]]:
-        """Predicted gains by effect and driver, in the simplest shape and at several sizes, the largest first."""
+        """Predicted gains by effect and driver, in the shape of the default form, at several sizes, the largest first."""
         trials: list[tuple[str, str, Trial]] = []
         for effect, forms in effects.items():
             for label in of_simplest_shape(forms):
@@ -132,8 +132,8 @@ class Linearisation:
         return {e: {f: sorted(ps, key=lambda p: -p.gain) for f, ps in forms.items()} for e, forms in found.items()}
 
     def across(self, points: Sequence[tuple[np.ndarray, Submodel]]) -> tuple[np.ndarray, np.ndarray]:
-        """Standardised differences of models at points from the fit, zero where one diverges, and what of them its parameters
-        cannot make, (B, N) each."""
+        """Standardised differences of models at points from the fit (zero if a simulation diverges), and the part of them that
+        the parameters of the fit cannot explain, (B, N) each."""
         if not points:
             return np.zeros((0, self._residual.size)), np.zeros((0, self._residual.size))
         outputs, ok = self._models.predict(points, self._rows)
@@ -142,21 +142,21 @@ class Linearisation:
         return differences, self.own(differences)
 
     def own(self, differences: Float[np.ndarray, "B N"]) -> Float[np.ndarray, "B N"]:
-        """What of standardised differences the parameters of the fit cannot make."""
+        """The part of standardised differences that the parameters of the fit cannot explain."""
         return differences - (differences @ self._basis) @ self._basis.T
 
     @property
     def residual(self) -> Float[np.ndarray, " N"]:
-        """What the fit leaves, standardised."""
+        """The residual of the fit, standardised."""
         return self._residual
 
     @property
     def origin(self) -> Float[np.ndarray, " P"]:
-        """The fit, with everything else neutral."""
+        """The point of the fit, with all other parameters neutral."""
         return self._x.copy()
 
     def _moved(self, x: np.ndarray, k: int) -> tuple[np.ndarray, float]:
-        """A point a little further in one coordinate, away from the nearer bound, and by how much."""
+        """A point one step further in one coordinate, and the step, which is negative if it would cross the upper bound."""
         step = -_STEP if x[k] + _STEP > self._models.box.high[k] else _STEP
         moved = x.copy()
         moved[k] += step
@@ -167,7 +167,7 @@ class Linearisation:
 
 
 def telling(target: Target, fit: FitState) -> Int[np.ndarray, " r"]:
-    """The experiments of which a fit leaves most: as few as have half of all that it leaves."""
+    """The experiments with the largest residuals of a fit: the smallest number with half of the squared residual."""
     rows = target.rows(fit.use)
     left = np.sum(target.standardised(fit.use, rows, (fit.predicted - target.values)[rows]) ** 2, axis=-1)
     order = np.argsort(-left)
@@ -176,6 +176,6 @@ def telling(target: Target, fit: FitState) -> Int[np.ndarray, " r"]:
 
 
 def score_p_value(statistic: float, candidates: int = 1) -> float:
-    """Probability of a score statistic like this, as the largest of so many, where the effects are absent."""
+    """Probability of a score statistic at least this large, as the largest of several candidates, if all effects are absent."""
     one = float(chdtrc(1, statistic))
     return 1.0 if one >= 1 else float(-np.expm1(candidates * np.log1p(-one)))

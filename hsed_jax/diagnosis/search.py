@@ -1,15 +1,15 @@
-r"""Which set of effects do the measurements support?  A search over nested models, by what they predict.
+r"""The set of effects that the measurements support: a search over nested models, by their predictions.
 
-Forward steps add the effect that is supported best; after each, every model one change away (an effect less, one more, one
-exchanged for another or for a pair) is fitted, so that a wrong first step is taken back.  The evidence of the fits says which of
-them may lead.  These are scored by the log density of what they were not fitted to (`hsed_jax.diagnosis.score`), and that alone
-decides.  Sets of k out of K effects share the prior probability of their size, $2^{-k-1}/\binom{K}{k}$: looking at thirty
-candidates does not invent physics.
+Forward steps add the effect with the best support.  After each step, all models one change away are fitted (one effect fewer, one
+more, one exchanged for another or for a pair), so that a wrong step can be reversed.  The evidence of the fits selects the models
+to score.  The score alone decides: the log density of data that a model was not fitted to (`hsed_jax.diagnosis.score`).  Sets of
+k out of K effects share the prior probability of their size, $2^{-k-1}/\binom{K}{k}$, so that a catalogue of thirty candidates
+does not favour a false effect.
 
-**How wrong a model may be is learned, not assumed.**  A real specimen follows no textbook formula.  All models of a round are
-therefore judged with the errors that the best of them leaves: the error of an output is the declared one or that model's
-residual, whichever is larger, and samples of a correlated residual count for what they are worth
-(`hsed_jax.inference.correlation`).  The best is the most probable one where each has errors of its own (`Measured.surprise`).
+**The errors of the models are estimated, not assumed.**  No specimen follows a textbook formula exactly.  All models of a round
+are therefore judged with the same errors: the error of an output is the declared one or the residual of the best model, whichever
+is larger.  Samples of a correlated residual count with their effective number (`hsed_jax.inference.correlation`).  The best model
+is the most probable one if each model has errors of its own (`Measured.surprise`).
 """
 
 import math
@@ -29,48 +29,48 @@ from hsed_jax.diagnosis.scores import Linearisation, score_p_value
 from hsed_jax.errors import UserError
 
 MOST_EFFECTS = 4
-# A score test opens the gate that the size of the residual keeps shut, at this level for all candidates together.
+# A p-value of the score tests below this level (for all candidates) continues a search even if the noise explains the residual.
 _STRICT = 1e-3
-# Standard deviations of the square of the noise that are no surprise.
+# The squared noise may be below its expectation by this many standard deviations.
 _DEVIATIONS = 3.0
-# So many sets of most evidence are scored, each in so many of its forms.
+# Number of sets that are scored, the ones with the largest evidence, and number of forms of each.
 _POOL, _FORMS = 6, 3
-# Of the models that rank first so many are considered to go on from.
+# Number of leading models from which the next one is selected.
 _TRIED = 5
-# An effect is replaced by so many others, the most probable ones; each is tried beside so many with the largest predicted gains.
+# Pairs: number of other single effects, the most probable ones, and number of effects beside each, by predicted gain.
 _OTHERS, _BESIDE = 3, 2
-# All forms are fitted of so many sets (of three times as many of one effect), if they are no more nats below the one of most
-# evidence than this, or gain half as much as it.
+# All forms are fitted of this many sets (three times as many without a named effect), if they are at most this many nats below
+# the set with the largest evidence, or gain at least half as much.
 _DEEP, _NEAR = 2, 10.0
-# Of so many sets that rank first so many forms are fitted anew, once the errors are known.
+# Number of leading sets that are fitted again from new starts, once the errors are known.
 _AGAIN = 2
-# With so many drivers the shapes of a form are fitted, where these may be the most probable.
+# Number of drivers for which all shapes of a form are fitted, if one of them may be the most probable form.
 _DRIVERS = 2
 
 
 class Search:
-    """The search, and what it has found.
+    """The search and its results.
 
     Arguments:
         models: the large model.
         measured: the experiments to fit.
         law: indices of the parameters that every model has.
         effects: the forms of each candidate.
-        is_explained: whether the noise explains the size of a fit's residual; nothing is added to it then, unless a score test
-            is sure of it.
-        report: called with what is being done, for a progress bar.
-        test: experiments that nothing is fitted to, the rows after those measured: an effect with which the model predicts them
-            worse than it does as it is, is not named.
-        start: the model without further effects as it is known already, (P,): one of the starts of its fit.
+        is_explained: whether the noise explains the size of the residual of a fit; if it does, an effect is added only if a
+            score test is significant.
+        report: receives the current activity, for a progress bar.
+        test: experiments that are never fitted; their rows follow those of the measured ones.  An effect is not named if the
+            model with it predicts them worse than the first model (without effects).
+        start: known x of the first model, (P,): one of the starts of its fit.
 
     Attributes:
-        held_out: what models predict of data that they were not fitted to.
-        target: what the last round was judged with; `errors` s and `worth` per output are what it was made of.
-        best: the set that is supported.
-        path: the sets that were best, from none on.
-        scores: Rao's score statistic of each candidate in the model as it is.
-        on_round: called when models were scored and when a round has ended.
-        missed: by how many nats the best fit of the model as it is beats the one from `start`.
+        held_out: predictions of data that the models were not fitted to.
+        target: data and errors of the last round, from the `errors` s and the `worth` (effective number) of a sample by output.
+        best: the supported set.
+        path: the sets that were best, from the empty set on.
+        scores: Rao's score statistic of each candidate in the first model.
+        on_round: called after the models are scored and after a round.
+        missed: by how many nats the best fit of the first model is better than the fit from `start`.
     """
 
     def __init__(
@@ -103,13 +103,13 @@ class Search:
         self._pointed: dict[Set, tuple[FitState, Target, Set]] = {}
 
     def run(self) -> None:
-        """Search, from the model as it is."""
+        """Search, starting with the first model (without effects)."""
         self.on_round()
         while True:
             self._report(f"models around {_text(self.best)}")
             around = self._neighbours()
             self._fit(around)
-            # Where nothing will be named, what is said of a candidate is how large it may be.
+            # If no effect will be named, only the possible size of each candidate is reported.
             if self.best or self.is_open():
                 self._fit_pairs()
                 self._deepen([*around, *self._pairs])
@@ -132,7 +132,7 @@ class Search:
         self._score(is_over=True)
 
     def adopt(self, coarse: "Search") -> None:
-        """Judge what a search over some of the experiments has found: its best set, those on its way, and those that lead."""
+        """Judge the sets of a search over fewer experiments: the best one (also less one effect), its path, the leading ones."""
         best = coarse.best
         leading = [m.effects for m in coarse.all()[:_AGAIN]]
         sets = dict.fromkeys([best, *_less_one(best), *coarse.path, *leading])
@@ -148,29 +148,29 @@ class Search:
         return self._fits.model(chosen, self._log_prior(len(chosen)))
 
     def all(self) -> list[Model]:
-        """All models that were fitted to the end of the last round, the most probable first."""
+        """The fitted models around the best set, the most probable first."""
         found = [self.model(effects) for effects in self._around()]
         return sorted(found, key=lambda m: (-m.probability, -m.log_posterior))
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
-        """Error on the experiments that nothing is fitted to, for several sets; without any, on those left out in turn."""
+        """Error of several sets on the experiments that are never fitted; without any, on data that are left out in turn."""
         return self.held_out.unseen(self.target, [self._fits.best(effects) for effects in chosen])
 
     def odds(self, one: Set, other: Set) -> float:
-        """Odds of one set against another by what they predict."""
+        """Odds of one set against another by their scores."""
         fits = [self._fits.best(effects) for effects in (one, other)]
         priors = np.asarray([self._log_prior(len(effects)) for effects in (one, other)])
         weights = weights_of(self.held_out.densities(self.target, fits), priors)
         return float(weights[0] / max(weights[1], 1e-300))
 
     def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
-        """What sets gain in log density over another set, piece by piece of what is left out [nats]."""
+        """Gain of sets over another set in log density, by piece of the held-out data [nats]."""
         fits = [self._fits.best(effects) for effects in (over, *chosen)]
         before, *after = self.held_out.densities(self.target, fits)
         return [Gain(own - before) for own in after]
 
     def pointed_at(self, chosen: Set) -> Set:
-        """The candidates that a score test around a fitted set is sure of, with their number accounted for."""
+        """The candidates with a significant score test around a fitted set; the level accounts for their number."""
         fit = self._fits.best(chosen)
         of_fit, of_target, found = self._pointed.get(chosen, (None, None, Set()))
         if of_fit is not fit or of_target is not self.target:
@@ -181,7 +181,7 @@ class Search:
         return found
 
     def obstacle(self, larger: Set, here: Set) -> str | None:
-        """Why a set with more effects than another one is not to be named in its place; None where nothing is against it."""
+        """The reason why a set with more effects than another one is not named instead; None without a reason."""
         if self.held_out.test is not None:
             before, unseen = self.unseen([here, larger])
             if not unseen <= before:
@@ -189,14 +189,14 @@ class Search:
         return self._unsupported(larger, here)
 
     def _smallest_that_predicts(self) -> Set:
-        """The smallest set on the way that predicts the experiments that were not used as well as any, but for what is not
-        material.  Only the end tells: beside the plain law one effect may predict worse, and with a second one better."""
+        """The smallest set of the path whose error on the test experiments is the least one, up to a difference that is not
+        material.  The choice is made last: one effect may predict worse than the plain law, and better with a second effect."""
         unseen = self.unseen(self.path)
         limit = min(unseen) ** 2 + material(self.measured.noise, unseen[0], min(unseen))
         return min((s for s, error in zip(self.path, unseen, strict=True) if error**2 <= limit), key=len)
 
     def _unsupported(self, larger: Set, here: Set) -> str | None:
-        """Why the measurements that are fitted do not support a set with more effects than another one; None where they do."""
+        """The reason why the fitted measurements do not support a set with more effects than another one; None without one."""
         odds = self.odds(larger, here)
         if odds < ODDS:
             return f"its odds of {odds:.2g} by what it predicts are less than {ODDS:.0f}"
@@ -209,12 +209,12 @@ class Search:
         return None
 
     def exchange(self, effect: str, other: str, driver: str) -> bool:
-        """Name another effect in place of one of the best set, since it does the same; whether it explains nearly as much.
+        """Exchange an effect of the best set for one with the same behaviour, if that explains nearly as much; whether it does.
 
         Arguments:
             effect: of the best set.
-            other: what stands for what it does.
-            driver: with what that changes; forms with another driver than this and the default one are not tried.
+            other: the effect with the name of the behaviour.
+            driver: of the behaviour; of the forms of `other`, those with this driver or the default one are tried.
         """
         rest, instead = self._in_forms(self.best - {effect}), self.best - {effect} | {other}
         labels = [label for label, form in self.effects[other].items() if form.form.driver in ("", driver)]
@@ -225,13 +225,13 @@ class Search:
             return False
         self.best = instead
         self.path.append(instead)
-        # The ranking compares each effect of the set with the set without it.
+        # The ranking compares the set with the sets that lack one of its effects.
         self._fits.fit(self.target, [self._in_forms(less) for less in _less_one(instead)])
         self._score(is_over=True)
         return True
 
     def start(self) -> None:
-        """The model without further effects, and a first look at every candidate from its gradient."""
+        """Fit the first model (without effects), and test every candidate by its score statistic."""
         self._report("the model as it is")
         submodel, starts = self.models.submodel(self.law), self._fits.starts_of_law()
         tasks = [Task(submodel, start, rivals=0) for start in starts]
@@ -252,7 +252,7 @@ class Search:
         self.scores = Linearisation(self.models, self.target, fit).score_tests(defaults)
 
     def _fit(self, around: Sequence[Set]) -> None:
-        """Fit the sets around the best: what a set has more than a fitted one, as it is proposed."""
+        """Fit the sets around the best one: its subsets in its forms, and sets with a new effect as `beside` proposes them."""
         self._fits.fit(self.target, [self._in_forms(s) for s in around if s <= self.best])
         grown: dict[Set, list[str]] = {}
         for larger in (s for s in around if not s <= self.best):
@@ -266,8 +266,8 @@ class Search:
         self._fits.fit(self.target, starts, starts)
 
     def _fit_pairs(self) -> None:
-        """Fit pairs in place of the one effect of the best set, where that leaves more than the noise: one that is like neither
-        may have taken what two effects do."""
+        """Fit pairs of effects instead of the one effect of the best set, if it leaves more than the noise: one wrong effect may
+        have replaced two."""
         self._pairs = []
         if len(self.best) != 1 or self._is_explained(self._fits.best(self.best)):
             return
@@ -281,14 +281,14 @@ class Search:
         self._fits.fit(self.target, starts, starts)
 
     def _in_forms(self, effects: Set) -> Choice:
-        """Effects of the best set in its forms."""
+        """Some effects of the best set, in their forms there."""
         best = dict(self._fits.top(self.best))
         return frozenset((effect, best[effect]) for effect in effects)
 
     def _deepen(self, sets: Iterable[Set]) -> None:
-        """Fit the sets of most evidence in further forms of each of their effects: with other drivers, and in other shapes."""
+        """Fit the sets with the largest evidence in further forms of each effect: with other drivers, then in other shapes."""
         ranked = sorted((self.model(s) for s in sets if s in self._fits), key=lambda m: -m.log_posterior)
-        # A formula that is not the specimen's costs many nats where the noise is small.
+        # If the noise is small, a formula that is not that of the specimen costs many nats.
         top = ranked[0].log_posterior
         enough = min(top - _NEAR, 0.5 * (top + self.model(self.best).log_posterior))
         near = [m for m in ranked[: _DEEP if self.best else 3 * _DEEP] if m.log_posterior >= enough]
@@ -297,13 +297,13 @@ class Search:
             choices: list[Choice] = []
             leading = [choice for m in near for choice in self._fits.leading(m.effects, several)]
             for own, (effect, label) in ((choice, form) for choice in leading for form in sorted(choice)):
-                # Of what the best set has, in that set alone: beside its forms those of another effect are compared.
+                # An effect of the best set changes its form only in that set: comparisons with other effects keep its form.
                 if effect not in self.best or names_of(own) == self.best:
                     choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
             self._fits.fit(self.target, dict.fromkeys(choices))
 
     def _judge(self, anew: bool = True) -> None:
-        """Judge all with the errors of the best fit, and fit those that rank first `anew`, from all over their priors."""
+        """Judge all sets with the errors of the best fit, and fit the leading ones `anew`, from points all over their priors."""
         around = self._around()
         for _ in range(2):
             self._judge_by(self._lowest())
@@ -314,10 +314,10 @@ class Search:
             self._fits.look_again(self.target, [self._fits.top(s) for s in first])
 
     def _score(self, is_over: bool = False) -> None:
-        """Give the choices that may lead their probabilities by what they predict.
+        """Give the leading choices their probabilities, from their scores.
 
-        All others have none, nor has a choice that predicts what nothing is fitted to worse than the model as it is.  When the
-        search `is_over`, larger sets than the best one were not accepted, and count only if they have its effects.
+        All other choices have none, and neither has a choice that predicts the test experiments worse than the first model.  When
+        the search `is_over`, larger sets than the best one are rejected ones, and count only if they contain its effects.
         """
         self._report("what they predict of what is left out")
         near = [s for s in (Set(), self.best, *_less_one(self.best)) if s in self._fits]
@@ -335,14 +335,14 @@ class Search:
         self._fits.probabilities = dict(zip(pool, weights_of(densities, priors).tolist(), strict=True))
 
     def _next(self) -> Set:
-        """The set to go on from: the most probable one that the measurements support."""
+        """The next set: the most probable one that the measurements support."""
         for model in self.all()[:_TRIED]:
             if len(model.effects) <= len(self.best) or self._unsupported(model.effects, self.best) is None:
                 return model.effects
         return self.best
 
     def _neighbours(self) -> list[Set]:
-        """The sets one change away from the best."""
+        """The sets one change away from the best one."""
         best, others = self.best, [e for e in self.effects if e not in self.best]
         fewer = _less_one(best)
         exchanged = [rest | {new} for rest in fewer for new in others]
@@ -350,30 +350,30 @@ class Search:
         return [best, *fewer, *exchanged, *more]
 
     def _may_grow(self) -> bool:
-        """Whether a further effect could be material, were it to leave nothing but the noise."""
+        """Whether a further effect can be material, if it leaves only the noise."""
         if not self.best:
             return True
         if len(self.best) == MOST_EFFECTS or not self.is_open():
             return False
         fits = [self._fits.best(effects) for effects in (Set(), self.best)]
         before, now = self.held_out.errors(self.target, fits)
-        # The noise that there is may be less than what is expected of it, by so much of its square.
+        # The actual noise may be smaller than its expectation, by this share of its square.
         by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
         return now**2 - max(1 - by_chance, 0.0) * self.measured.noise**2 >= material(self.measured.noise, before, now)
 
     def is_open(self) -> bool:
-        """Whether anything is left for a further effect to explain, by size or by a score test."""
+        """Whether a further effect has something to explain, by the size of the residual or by a score test."""
         return not self._is_explained(self._fits.best(self.best)) or bool(self.pointed_at(self.best))
 
     def _around(self) -> list[Set]:
-        """The fitted sets around the best; of a candidate that none of them has, the set of it alone."""
+        """The fitted sets around the best one, and the set of each single candidate that none of them contains."""
         near = dict.fromkeys([frozenset(), *self.path, *self._neighbours(), *self._pairs])
         sets = [s for s in near if s in self._fits]
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]
 
     def _lowest(self) -> FitState:
-        """The best fit of the round, each with the errors that it leaves itself, and with what a set's size costs."""
+        """The best fit of the round: each fit has the errors that it leaves itself, and the prior of its set counts."""
         standard = Standard(self.errors, self.worth, self.target)
 
         def cost(effects: Set) -> float:
@@ -392,7 +392,7 @@ class Search:
 
 
 def _less_one(effects: Set) -> list[Set]:
-    """The sets with one effect less, in an order that another process has, too: fits are kept by their place in the search."""
+    """The sets with one effect fewer, in the same order in every process: the names of stored fits depend on this order."""
     return [effects - {effect} for effect in sorted(effects)]
 
 

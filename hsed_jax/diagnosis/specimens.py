@@ -1,14 +1,14 @@
-r"""Is an effect one of the population, of some specimens only, or scatter?
+r"""Whether an effect belongs to the population or to some specimens only, or is scatter.
 
-Every member of a level is asked how probable its measurements are with each size of the effect, its own parameters adjusted. Of
-these likelihoods three explanations are made:
+For every member of a level, the likelihood of its measurements is computed at several sizes of the effect, with its own
+parameters adjusted.  Three explanations are compared by these likelihoods:
 
-* **population**: all have it, with sizes $\mu\,e^{cz}$, z standard normal;
-* **specimens**: some have it, with such sizes, and the others have none; every number of them is equally probable;
-* **scatter**: none has it, or the sizes scatter about nothing.
+* **population**: all members have it, with sizes $\mu\,e^{cz}$, z standard normal;
+* **specimens**: some members have it, with such sizes, and the others do not; every number of members is equally probable;
+* **scatter**: no member has it, or the sizes scatter about zero.
 
-Each has the prior probability of a third, μ the prior of the catalogue, c a half-normal one.  No member decides by itself: what
-has six chances to look odd shares its prior probability among six, which is what accounts for their number.
+Each explanation has the prior probability of a third.  μ has the prior of the catalogue, and c a half-normal one.  The prior
+probability of a number of members is divided among all choices of so many members, which accounts for multiple comparisons.
 """
 
 # SciPy comes without types.
@@ -29,23 +29,23 @@ from hsed_jax.diagnosis.findings import Judgement
 from hsed_jax.diagnosis.fit_state import FitState, Target, Task
 from hsed_jax.diagnosis.problem import Problem
 
-# Sizes that every member is fitted at, in units of the largest one found; the negative ones where an effect has two signs.
+# Sizes at which every member is fitted, relative to the largest fitted size; negative ones if the amplitude may be negative.
 _SIZES, _NEGATIVE = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.25, 1.6), (-1.0, -0.5, -0.25)
-# The grids of the integrals: sizes, centres, and coefficients of variation with their half-normal prior.
+# Grids of the integrals: numbers of sizes and centres; scale of the half-normal prior of the coefficient of variation, its grid.
 _POINTS, _CENTRES = 1600, 48
 _VARIATION, _VARIATIONS = 0.3, np.asarray([0.03, 0.1, 0.2, 0.3, 0.45, 0.6, 0.9])
-# A member has an effect that is more probable than not.
+# A member has an effect if its probability is larger than this.
 _HAS = 0.5
 
 
 class Membership(NamedTuple):
-    """The training experiments of a level.
+    """The members of a level, and their training experiments.
 
     Attributes:
         level: its name.
         members: their names.
-        of: the member of each experiment, (n,).
-        varying: names of the parameters that vary with it.
+        of: index of the member of each experiment, (n,).
+        varying: names of the parameters that vary with the level.
     """
 
     level: str
@@ -55,7 +55,7 @@ class Membership(NamedTuple):
 
     @property
     def rows(self) -> Bool[np.ndarray, "M n"]:
-        """The experiments of each member."""
+        """Whether an experiment belongs to a member."""
         return np.arange(len(self.members))[:, None] == self.of
 
 
@@ -66,14 +66,14 @@ def judge_specimens(
     optimum: Mapping[str, float],
     memberships: Sequence[Membership],
 ) -> list[Judgement]:
-    """Judge named effects over the members of each level.
+    """Judge the named effects over the members of each level.
 
     Arguments:
         problem: the measurements and the large model.
-        effects: named in one model.
-        forms: labels of their forms, where these are not the default ones.
+        effects: the effects of one model.
+        forms: labels of their forms, unless these are the default forms.
         optimum: parameters of that model at its best fit, by name, SI.
-        memberships: of the training experiments.
+        memberships: the members of each level.
     """
     chosen = {
         effect: problem.effects[effect][forms.get(effect) or next(iter(problem.effects[effect]))] for effect in effects
@@ -100,7 +100,7 @@ def _judged(
     rows = np.arange(len(problem.train.values))
     outputs, _ = models.batch(np.repeat(theta[None], len(rows), axis=0), rows)
     target = problem.train.standard(outputs, used).target
-    # Each member with its own size: what that leaves is the error that sizes are judged with.
+    # Each member has its own size here: the residual of these fits is the error for the comparison of sizes.
     free = np.append(own, column)
     fits = models.fit(target, [Task(models.submodel(free, _held(theta, free)), x, use) for use in uses])
     target = problem.train.standard(np.sum([f.predicted for f in fits], axis=0), used).target
@@ -108,7 +108,7 @@ def _judged(
     found = [models.box.theta(f.x)[column] - neutral for f in fits if np.isfinite(f.cost)]
     unit = float(max([theta[column] - neutral, *found], key=abs)) or 1.0
     low, high = (models.box.theta(side)[column] for side in (models.box.low, models.box.high))
-    # Beyond its bounds there is no size.
+    # The bounds of the amplitude limit the sizes.
     shares = np.asarray([*_SIZES, *_NEGATIVE])
     shares = np.unique(np.clip(unit * shares, low - neutral, high - neutral) / unit)
     at, table = _tabulated(
@@ -129,7 +129,7 @@ def _log_likelihoods(
     problem: Problem, target: Target, x: np.ndarray, theta: np.ndarray, own: np.ndarray, column: int, sizes: np.ndarray,
     uses: Sequence[int],
 ) -> Float[np.ndarray, "M S"]:  # fmt: skip
-    """Log probability of each member's measurements at each size."""
+    """Log likelihood of each member's measurements at each size, integrated over its own parameters."""
     tasks: list[Task] = []
     for use in uses:
         for size in sizes:
@@ -152,7 +152,7 @@ def _held(theta: np.ndarray, free: np.ndarray) -> dict[int, float]:
 def _tabulated(
     sizes: np.ndarray, log_likelihoods: Float[np.ndarray, "M S"]
 ) -> tuple[np.ndarray, Float[np.ndarray, "M P"]]:
-    """Log likelihoods on a fine grid of sizes, less their largest values."""
+    """Log likelihoods on a fine grid of sizes, minus the largest value of each member."""
     from scipy.interpolate import PchipInterpolator
 
     at = np.linspace(sizes[0], sizes[-1], _POINTS)
@@ -170,11 +170,11 @@ def _statistics(sizes: np.ndarray, log_likelihoods: np.ndarray) -> dict[str, flo
 
 
 class Weighed(NamedTuple):
-    """What sizes of an effect say of it.
+    """The comparison of the explanations of an effect.
 
     Attributes:
-        verdict: population, specimens or scatter.
-        probability: of that.
+        verdict: `population`, `specimens` or `scatter`.
+        probability: of the verdict.
         has: probability that each member has the effect, (M,).
     """
 
@@ -183,7 +183,7 @@ class Weighed(NamedTuple):
     has: Float[np.ndarray, " M"]
 
     def named(self, members: Sequence[str]) -> list[str]:
-        """The members that have it, of those given."""
+        """The members, of those given, that have the effect."""
         if self.verdict == "scatter":
             return []
         return [m for m, p in zip(members, self.has, strict=True) if self.verdict == "population" or p > _HAS]
@@ -192,12 +192,12 @@ class Weighed(NamedTuple):
 def weigh_explanations(
     at: Float[np.ndarray, " P"], table: Float[np.ndarray, "M P"], log_prior: Float[np.ndarray, " P"]
 ) -> Weighed:
-    """Weigh the three explanations.
+    """Compare the three explanations.
 
     Arguments:
-        at: sizes on a grid that holds nothing, 0, in units of the largest one that was found.
-        table: log likelihoods of each member there.
-        log_prior: log density of the prior of a size there, up to a constant.
+        at: sizes on a grid that contains zero, relative to the largest fitted size.
+        table: log likelihoods of each member at these sizes.
+        log_prior: log density of the prior at these sizes, up to a constant.
     """
     many, step = len(table), float(at[1] - at[0])
     none = np.asarray([np.interp(0.0, at, row) for row in table])
@@ -205,7 +205,7 @@ def weigh_explanations(
     log_likelihoods = table.max(axis=1) - none
 
     def ratios(density: Float[np.ndarray, "C P"]) -> Float[np.ndarray, "M C"]:
-        """Log odds of each member between sizes of these densities and none."""
+        """Log odds of each member: sizes with these densities against size zero."""
         with np.errstate(divide="ignore"):
             return log_likelihoods[:, None] + np.log(likelihoods @ (density.T * step))
 
@@ -218,7 +218,7 @@ def weigh_explanations(
     log_weight -= logsumexp(log_weight)
     by_number, has = _numbers(ratios(_lognormal(at, *pairs.T)), log_weight)
     scales = np.geomspace(0.02, 2.0, 24)
-    # A scale as probable as the prior of a size makes it.
+    # The prior density of a scale is the prior density of a size of the same magnitude.
     log_scale = np.interp(scales * np.sign(at[-1] + at[0]), at, log_prior) + np.log(scales)
     scattered = _half_normal(at, scales)
     log_scattered = ratios(scattered).sum(axis=0) + log_scale - logsumexp(log_scale)
@@ -231,7 +231,7 @@ def weigh_explanations(
 
 
 def _lognormal(at: np.ndarray, centre: np.ndarray, variation: np.ndarray) -> Float[np.ndarray, "C P"]:
-    """Densities of sizes of one sign."""
+    """Lognormal densities of sizes, all of the same sign."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.log(at[None] / centre[:, None]) / variation[:, None]
         density = np.exp(-0.5 * ratio**2) / (math.sqrt(2 * math.pi) * variation[:, None] * np.abs(at[None]))
@@ -239,7 +239,7 @@ def _lognormal(at: np.ndarray, centre: np.ndarray, variation: np.ndarray) -> Flo
 
 
 def _half_normal(at: np.ndarray, scale: np.ndarray) -> Float[np.ndarray, "C P"]:
-    """Densities of sizes that scatter about nothing, to the sides that there are."""
+    """Normal densities of sizes about zero, cut off at the ends of the grid."""
     density = np.exp(-0.5 * (at[None] / scale[:, None]) ** 2)
     return density / (density.sum(axis=1, keepdims=True) * (at[1] - at[0]))
 
@@ -247,13 +247,13 @@ def _half_normal(at: np.ndarray, scale: np.ndarray) -> Float[np.ndarray, "C P"]:
 def _numbers(
     ratios: Float[np.ndarray, "M C"], log_weight: Float[np.ndarray, " C"]
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " M"]]:
-    """Log evidence that so many members have the effect, 0 to M, every choice of them equally probable; and the probability of
-    each member to have it, where every number from one on is equally probable."""
+    """Log evidence that 0 to M members have the effect, with equally probable choices of the members; and the probability that
+    each member has it, if every number of members from one to M is equally probable."""
     many = len(ratios)
     choices = np.asarray([gammaln(many + 1) - gammaln(k + 1) - gammaln(many - k + 1) for k in range(many + 1)])
 
     def sums(rows: Float[np.ndarray, "R C"]) -> Float[np.ndarray, "R1 C"]:
-        """Logs of the elementary symmetric polynomials of odds."""
+        """Logarithms of the elementary symmetric polynomials of the odds."""
         found = np.full((len(rows) + 1, ratios.shape[1]), -np.inf)
         found[0] = 0.0
         for row in rows:
