@@ -358,7 +358,7 @@ def test_what_was_held_out_is_the_judge_and_else_what_is_left_out_in_turn(held_o
     if held_out:
         problem = problem._replace(test=measured_of(values[N : N + held_out]))
     now, before = ((problem.models, search.model(effects).fit) for effects in (search.best, ()))
-    found = held_out_error(problem, search.target, now, before)
+    found = held_out_error(problem, search.standard.target, now, before)
 
     def residuals(fit):
         return values[N:] - np.einsum("k,knj->nj", problem.models.theta(fit.x, fit.submodel), functions[:, N:])

@@ -120,7 +120,7 @@ def _prediction(
     if rows.start:
         assert problem.test is not None
         measured, experiments = problem.test, problem.held_out
-    sigma = np.where(measured.used, problem.sigma(search.errors, mean[rows]), 1.0)
+    sigma = np.where(measured.used, problem.sigma(search.standard.errors, mean[rows]), 1.0)
     own = {"noise": sigma, **{name: part[rows] for name, part in parts.items()}}
     sd = np.sqrt(sum(part**2 for part in own.values()))
     return Prediction(

@@ -79,9 +79,7 @@ def diagnose(
         _rename(probe, search)
     report("probabilities and sizes")
     models, best, none = search.all(), search.model(search.best), search.model(())
-    sampled = {
-        m.effects: sample_posterior(m.fit, problem.models, search.target, _DRAWS, problem.seed) for m in (none, best)
-    }
+    sampled = {best.effects: sample_posterior(best.fit, problem.models, search.standard.target, _DRAWS, problem.seed)}
     rivals = rivals_of(models, best)
     called = {} if probe is None else {m.effects: probe.called(m) for m in (best, *rivals) if m.effects}
     rivals = [m for m in rivals if called.get(m.effects) != called.get(best.effects, best.effects)]
@@ -129,11 +127,11 @@ def diagnose(
         error_after=(problem.train.error(best.fit.predicted), tests[1]),
         noise_floor=problem.train.noise,
         parameters={
-            "before": _law(problem, none.fit, sampled[none.effects]),
+            "before": _law(problem, none.fit, sampled.get(none.effects)),
             "after": _law(problem, best.fit, sampled[best.effects]),
         },
         optimum={problem.names[k]: float(theta[k]) for k in best.fit.free},
-        prediction=_prediction(problem, best.fit, search.target.sigma),
+        prediction=_prediction(problem, best.fit, search.standard.target.sigma),
         scales=problem.scales,
         opened=_opened(problem, none.fit),
         notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
@@ -155,13 +153,16 @@ def _does_the_same(probe: Probe | None, called: dict[Set, Set], best: Model, mod
 
 
 def _rename(probe: Probe, search: Search) -> None:
-    """Name the effects of the best set after their behaviour, if the effects of these names explain nearly as much."""
+    """Name the effects of the best set after their behaviour, if the effects of these names explain nearly as much.
+
+    The behaviour of the new effect must have the same name: otherwise, either would stand for the other.
+    """
     best = search.model(search.best)
     traits = probe.traits(best)
     for effect in sorted(best.effects):
         name = probe.name(effect, traits)
         if name not in search.best:
-            search.exchange(effect, name, traits[effect].driver)
+            search.exchange(effect, name, traits[effect].driver, lambda model, name=name: name in probe.called(model))
 
 
 def _explanations(search: Search, models: list[Model], best: Model, called: Mapping[Set, Set]) -> list[Explained]:
@@ -334,7 +335,7 @@ def _opened(problem: Problem, fit: FitState) -> dict[str, float]:
     return {name: float(theta[problem.names.index(name)]) for name in problem.opened}
 
 
-def _law(problem: Problem, fit: FitState, sample: Sampled) -> dict[str, dict[str, float]]:
+def _law(problem: Problem, fit: FitState, sample: Sampled | None) -> dict[str, dict[str, float]]:
     return {problem.names[k]: _moments(problem, fit, sample, int(k)) for k in problem.law}
 
 

@@ -120,7 +120,9 @@ def next_loading(probe: Probe, search: Search, rivals: Sequence[Model]) -> Loadi
     group = problem.outputs.index("force")
     magnitude = np.sqrt(np.mean(predictions[0].mean ** 2, axis=1, keepdims=True))
     size = magnitude if problem.train.errors[group].is_relative else 1.0
-    root = np.broadcast_to(np.sqrt(search.worth[group]) / (search.errors[group] * size), samples.shape)
+    root = np.broadcast_to(
+        np.sqrt(search.standard.worth[group]) / (search.standard.errors[group] * size), samples.shape
+    )
     # The verdict states that the explanations are equally good, so they have equal probabilities.
     information = expected_log_bayes_factor(predictions, root, np.full(len(rivals), 1 / len(rivals)))
     best = int(np.argmax(information >= _NEARLY * information.max()))

@@ -219,7 +219,7 @@ class _Stretching:
         search = self._search
         fits, box, plain = [m.fit for m in self._models], self._box(width), self._box(1.0)
         moved = None if width == 1.0 else [moved_by(search, fit, plain, box) for fit in fits]
-        return search.held_out.densities(search.target, fits, moved)
+        return search.held_out.densities(search.standard.target, fits, moved)
 
 
 def _told(
@@ -290,7 +290,7 @@ def _of_all(fit: FitState, box: Box) -> _Misfit:
 
 def _of_fold(search: Search, fit: FitState, use: int) -> _Misfit:
     """The misfit of the data of a fold, expanded about the fit to all data."""
-    target = search.target
+    target = search.standard.target
     rows = target.rows(use)
     jacobian = target.standardised(use, rows, fit.slopes[:, rows]).reshape(len(fit.free), -1)
     residual = target.standardised(use, rows, (fit.predicted - target.values)[rows]).ravel()
@@ -323,7 +323,7 @@ def moved_by(search: Search, fit: FitState, plain: Box, box: Box) -> np.ndarray 
     """
     if not fit.slopes.size or not np.isfinite(fit.cost):
         return None
-    folds, change = search.held_out.folds, np.zeros(search.target.values.shape)
+    folds, change = search.held_out.folds, np.zeros(search.standard.target.values.shape)
     for use in range(1, len(folds.fitted)):
         misfit = _of_fold(search, fit, use)
         step = (_least(misfit, fit, box) - _least(misfit, fit, plain))[fit.free]

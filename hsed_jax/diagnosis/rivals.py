@@ -38,7 +38,9 @@ def separation(problem: Problem, search: Search, rivals: Sequence[Model]) -> Flo
     if len(rivals) < 2 or not rows.size:
         return np.zeros(count)
     predictions = [predictive(problem.models, m.fit, rows) for m in rivals]
-    root = np.sqrt(search.worth[problem.train.groups]) / problem.sigma(search.errors, predictions[0].mean)
+    root = np.sqrt(search.standard.worth[problem.train.groups]) / problem.sigma(
+        search.standard.errors, predictions[0].mean
+    )
     return expected_log_bayes_factor(predictions, root, shares_of(rivals), problem.pending)
 
 
@@ -191,7 +193,7 @@ def look_alikes_of(problem: Problem, search: Search, best: Model, models: Sequen
         if not others:
             continue
         outputs, ok = problem.models.predict([(m.fit.x, m.fit.submodel) for m in (best, *others)], rows)
-        sigma = problem.sigma(search.errors, outputs[0])
+        sigma = problem.sigma(search.standard.errors, outputs[0])
         alike: list[str] = []
         for m, predicted, converged in zip(others, outputs[1:], ok[1:], strict=True):
             apart = ((predicted - outputs[0]) / sigma) ** 2

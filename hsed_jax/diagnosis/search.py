@@ -65,7 +65,7 @@ class Search:
 
     Attributes:
         held_out: predictions of data that the models were not fitted to.
-        target: data and errors of the last round, from the `errors` s and the `worth` (effective number) of a sample by output.
+        standard: what the models of the last round are judged by.
         best: the supported set.
         path: the sets that were best, from the empty set on.
         scores: Rao's score statistic of each candidate in the first model.
@@ -89,10 +89,10 @@ class Search:
         self.models, self.measured, self.law, self.effects = models, measured, law, dict(effects)
         self._fits = Fits(models, law, effects)
         self._report = report
-        self.errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
-        self.worth = np.ones(len(self.errors))
-        sigma, uses = measured.sigma(self.errors, measured.values), self.held_out.folds.fitted * 1.0
-        self.target = Target(measured.values, sigma, uses, np.zeros(measured.values.shape))
+        errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
+        sigma, uses = measured.sigma(errors, measured.values), self.held_out.folds.fitted * 1.0
+        target = Target(measured.values, sigma, uses, np.zeros(measured.values.shape))
+        self.standard = Standard(errors, np.ones(len(errors)), target)
         self.best: Set = frozenset()
         self.path: list[Set] = [self.best]
         self.scores: dict[str, float] = {}
@@ -116,7 +116,7 @@ class Search:
             self._judge()
             if not self.best and self.measured.is_far_above_noise(self._lowest().predicted):
                 self._report("every effect beside any law")
-                self._fits.look_all_over(self.target)
+                self._fits.look_all_over(self.standard.target)
                 self._judge()
             self._score()
             self.on_round()
@@ -137,7 +137,7 @@ class Search:
         leading = [m.effects for m in coarse.all()[:_AGAIN]]
         sets = dict.fromkeys([best, *_less_one(best), *coarse.path, *leading])
         choices = {coarse._fits.top(s): [coarse._fits.best(s).x] for s in sets if s}
-        self._fits.fit(self.target, choices, choices)
+        self._fits.fit(self.standard.target, choices, choices)
         self.best, self.path = best, coarse.path
         self._judge(anew=False)
         self._score(is_over=True)
@@ -154,30 +154,30 @@ class Search:
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
         """Error of several sets on the experiments that are never fitted; without any, on data that are left out in turn."""
-        return self.held_out.unseen(self.target, [self._fits.best(effects) for effects in chosen])
+        return self.held_out.unseen(self.standard.target, [self._fits.best(effects) for effects in chosen])
 
     def odds(self, one: Set, other: Set) -> float:
         """Odds of one set against another by their scores."""
         fits = [self._fits.best(effects) for effects in (one, other)]
         priors = np.asarray([self._log_prior(len(effects)) for effects in (one, other)])
-        weights = weights_of(self.held_out.densities(self.target, fits), priors)
+        weights = weights_of(self.held_out.densities(self.standard.target, fits), priors)
         return float(weights[0] / max(weights[1], 1e-300))
 
     def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
         """Gain of sets over another set in log density, by piece of the held-out data [nats]."""
         fits = [self._fits.best(effects) for effects in (over, *chosen)]
-        before, *after = self.held_out.densities(self.target, fits)
+        before, *after = self.held_out.densities(self.standard.target, fits)
         return [Gain(own - before) for own in after]
 
     def pointed_at(self, chosen: Set) -> Set:
         """The candidates with a significant score test around a fitted set; the level accounts for their number."""
         fit = self._fits.best(chosen)
         of_fit, of_target, found = self._pointed.get(chosen, (None, None, Set()))
-        if of_fit is not fit or of_target is not self.target:
+        if of_fit is not fit or of_target is not self.standard.target:
             others = {name: amplitude_of(forms) for name, forms in self.effects.items() if name not in chosen}
-            scores = Linearisation(self.models, self.target, fit).score_tests(others)
+            scores = Linearisation(self.models, self.standard.target, fit).score_tests(others)
             found = frozenset(n for n, score in scores.items() if score_p_value(score, len(self.effects)) < _STRICT)
-            self._pointed[chosen] = fit, self.target, found
+            self._pointed[chosen] = fit, self.standard.target, found
         return found
 
     def obstacle(self, larger: Set, here: Set) -> str | None:
@@ -203,30 +203,32 @@ class Search:
         fits = [self._fits.best(effects) for effects in (Set(), here, larger)]
         if self._is_explained(fits[1]) and not larger & self.pointed_at(here):
             return "the noise explains what is left, and no score test is sure of it"
-        before, now, after = self.held_out.errors(self.target, fits)
+        before, now, after = self.held_out.errors(self.standard.target, fits)
         if not now**2 - after**2 >= material(self.measured.noise, before, now):
             return f"with training experiments left out in turn the error goes from {now:.3f} to {after:.3g} only"
         return None
 
-    def exchange(self, effect: str, other: str, driver: str) -> bool:
+    def exchange(self, effect: str, other: str, driver: str, is_right: Callable[[Model], bool]) -> bool:
         """Exchange an effect of the best set for one with the same behaviour, if that explains nearly as much; whether it does.
 
         Arguments:
             effect: of the best set.
             other: the effect with the name of the behaviour.
             driver: of the behaviour; of the forms of `other`, those with this driver or the default one are tried.
+            is_right: whether the behaviour of a model has the new name, too.
         """
         rest, instead = self._in_forms(self.best - {effect}), self.best - {effect} | {other}
         labels = [label for label, form in self.effects[other].items() if form.form.driver in ("", driver)]
-        self._fits.fit(self.target, [rest | {(other, label)} for label in labels])
+        self._fits.fit(self.standard.target, [rest | {(other, label)} for label in labels])
         fits = [self._fits.best(effects) for effects in (Set(), self.best, instead)]
-        before, now, then = self.held_out.errors(self.target, fits)
-        if not before**2 - then**2 >= (1 - MATERIAL) * (before**2 - now**2):
+        before, now, then = self.held_out.errors(self.standard.target, fits)
+        is_as_good = before**2 - then**2 >= (1 - MATERIAL) * (before**2 - now**2)
+        if not (is_as_good and is_right(self.model(instead))):
             return False
         self.best = instead
         self.path.append(instead)
         # The ranking compares the set with the sets that lack one of its effects.
-        self._fits.fit(self.target, [self._in_forms(less) for less in _less_one(instead)])
+        self._fits.fit(self.standard.target, [self._in_forms(less) for less in _less_one(instead)])
         self._score(is_over=True)
         return True
 
@@ -238,22 +240,23 @@ class Search:
         tasks += [] if self._start is None else [Task(submodel, self._start)]
         fit = None
         for _ in range(2):
-            ends = self.models.fit(self.target, tasks)
+            ends = self.models.fit(self.standard.target, tasks)
             fit = min(ends, key=lambda f: f.cost)
             if len(ends) > len(starts):
                 self.missed = ends[-1].cost - fit.cost
             if not np.isfinite(fit.cost):
                 raise UserError("the model diverges wherever a fit was started; check parameters and priors")
-            self._judge_by(fit)
+            self.standard = self.measured.standard(fit.predicted, self.held_out.folds.fitted)
             tasks = [Task(submodel, fit.x)]
         assert fit is not None
         self._fits.set_law(fit)
         defaults = {effect: amplitude_of(forms) for effect, forms in self.effects.items()}
-        self.scores = Linearisation(self.models, self.target, fit).score_tests(defaults)
+        self.scores = Linearisation(self.models, self.standard.target, fit).score_tests(defaults)
 
     def _fit(self, around: Sequence[Set]) -> None:
         """Fit the sets around the best one: its subsets in its forms, and sets with a new effect as `beside` proposes them."""
-        self._fits.fit(self.target, [self._in_forms(s) for s in around if s <= self.best])
+        target = self.standard.target
+        self._fits.fit(target, [self._in_forms(s) for s in around if s <= self.best])
         grown: dict[Set, list[str]] = {}
         for larger in (s for s in around if not s <= self.best):
             grown.setdefault(larger & self.best, []).extend(larger - self.best)
@@ -262,8 +265,8 @@ class Search:
             if base in self._fits and base not in self._tried:
                 self._tried.add(base)
                 fit, effects = self._fits.best(base), {e: self.effects[e] for e in others}
-                starts |= beside(self.models, self.target, fit, self._fits.top(base), effects, base == self.best)
-        self._fits.fit(self.target, starts, starts)
+                starts |= beside(self.models, target, fit, self._fits.top(base), effects, base == self.best)
+        self._fits.fit(target, starts, starts)
 
     def _fit_pairs(self) -> None:
         """Fit pairs of effects instead of the one effect of the best set, if it leaves more than the noise: one wrong effect may
@@ -276,9 +279,9 @@ class Search:
         singles = [self.model({e}) for e in others if frozenset({e}) in self._fits]
         leading = sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]
         chosen = [(self._fits.top(m.effects), m.fit) for m in leading]
-        starts = pairs(self.models, self.target, chosen, others, _BESIDE)
+        starts = pairs(self.models, self.standard.target, chosen, others, _BESIDE)
         self._pairs = list(dict.fromkeys(names_of(choice) for choice in starts))
-        self._fits.fit(self.target, starts, starts)
+        self._fits.fit(self.standard.target, starts, starts)
 
     def _in_forms(self, effects: Set) -> Choice:
         """Some effects of the best set, in their forms there."""
@@ -300,18 +303,18 @@ class Search:
                 # An effect of the best set changes its form only in that set: comparisons with other effects keep its form.
                 if effect not in self.best or names_of(own) == self.best:
                     choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
-            self._fits.fit(self.target, dict.fromkeys(choices))
+            self._fits.fit(self.standard.target, dict.fromkeys(choices))
 
     def _judge(self, anew: bool = True) -> None:
         """Judge all sets with the errors of the best fit, and fit the leading ones `anew`, from points all over their priors."""
         around = self._around()
         for _ in range(2):
-            self._judge_by(self._lowest())
-            self._fits.judge(self.target, around)
+            self.standard = self.measured.standard(self._lowest().predicted, self.held_out.folds.fitted)
+            self._fits.judge(self.standard.target, around)
         if anew and (self.best or self.is_open()):
             ranked = sorted(map(self.model, around), key=lambda m: -m.log_posterior)
             first = [m.effects for m in ranked if m.effects][:_AGAIN]
-            self._fits.look_again(self.target, [self._fits.top(s) for s in first])
+            self._fits.look_again(self.standard.target, [self._fits.top(s) for s in first])
 
     def _score(self, is_over: bool = False) -> None:
         """Give the leading choices their probabilities, from their scores.
@@ -327,9 +330,9 @@ class Search:
         likely = [choice for m in ranked[:_POOL] for choice in self._fits.likeliest(m.effects, _FORMS)]
         pool = list(dict.fromkeys([*always, *likely]))
         fits = [self._fits[choice] for choice in pool]
-        densities = self.held_out.densities(self.target, fits)
+        densities = self.held_out.densities(self.standard.target, fits)
         if self.held_out.test is not None:
-            unseen = np.asarray(self.held_out.unseen(self.target, fits))
+            unseen = np.asarray(self.held_out.unseen(self.standard.target, fits))
             densities[unseen > unseen[pool.index(frozenset())]] = -np.inf
         priors = np.asarray([self._log_prior(len(choice)) + self._fits.log_share(choice) for choice in pool])
         self._fits.probabilities = dict(zip(pool, weights_of(densities, priors).tolist(), strict=True))
@@ -356,7 +359,7 @@ class Search:
         if len(self.best) == MOST_EFFECTS or not self.is_open():
             return False
         fits = [self._fits.best(effects) for effects in (Set(), self.best)]
-        before, now = self.held_out.errors(self.target, fits)
+        before, now = self.held_out.errors(self.standard.target, fits)
         # The actual noise may be smaller than its expectation, by this share of its square.
         by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
         return now**2 - max(1 - by_chance, 0.0) * self.measured.noise**2 >= material(self.measured.noise, before, now)
@@ -374,18 +377,14 @@ class Search:
 
     def _lowest(self) -> FitState:
         """The best fit of the round: each fit has the errors that it leaves itself, and the prior of its set counts."""
-        standard = Standard(self.errors, self.worth, self.target)
 
         def cost(effects: Set) -> float:
             fit, log_prior = self._fits.best(effects), self._log_prior(len(effects))
             log_prior += float(self.models.box.log_density(fit.x[None], fit.free).sum())
-            surprise = self.measured.surprise(fit.predicted, standard, len(fit.free))
+            surprise = self.measured.surprise(fit.predicted, self.standard, len(fit.free))
             return surprise - log_prior if np.isfinite(fit.cost) else math.inf
 
         return self._fits.best(min(self._around(), key=cost))
-
-    def _judge_by(self, fit: FitState) -> None:
-        self.errors, self.worth, self.target = self.measured.standard(fit.predicted, self.held_out.folds.fitted)
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
