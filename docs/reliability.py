@@ -2,11 +2,15 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import beta as beta_distribution
+
+from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.names import own_name
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 TITLE = "Intervals, diagnoses and measured specimens"
@@ -21,6 +25,9 @@ DIAGNOSES = {
     "hidden_effects_unseen": "unseen, an earlier diagnosis",
     "hidden_effects": "partly used during development, an earlier diagnosis",
 }
+
+# Limits of the bins of stated probabilities.
+BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 
 COVERAGE = """These results take hours. They are kept beside the benchmark that measured them, and this page is computed
 from them.
@@ -42,6 +49,14 @@ DIAGNOSED = """
 The specimens have an effect that only the scorer knows; where the noise explains the residual of the plain law there is
 nothing to name, and the case does not count. Brackets hold the 95 % interval of a share (Clopper & Pearson 1934).
 [What the groups are](../benchmarks.md).
+"""
+STATED = """
+## Stated probabilities
+
+A diagnosis states the probability of each effect that it names. The table sorts these statements by the probability and
+compares them with the share of them that is right. They are those of the first file of the table above, where there is an
+effect to name. `within`: the mean stated probability is in the 95 % interval of the share. An effect of the right family
+changes the same property of the specimen.
 """
 DISCOVERED = """
 ## Discoveries
@@ -72,6 +87,9 @@ def page() -> Iterator[str]:
     heads = ("group", "campaigns", "effect to name", "named first", "exact set", "false alarms")
     yield from _table(heads, [row for file, about in DIAGNOSES.items() for row in _diagnoses(_kept(file), about)])
     yield "\n`python benchmarks/hidden_effects.py`."
+    yield STATED
+    heads = ("stated", "statements", "mean stated", "right", "within", "right family")
+    yield from _table(heads, list(_stated(_kept(next(iter(DIAGNOSES))))))
     yield DISCOVERED
     yield from _table(("group", "cases", "wrong", "share that is wrong"), list(_discoveries(_kept("discoveries"))))
     yield "\n`python benchmarks/discoveries.py`."
@@ -141,6 +159,27 @@ def _diagnoses(rows: Sequence[Mapping[str, Any]], about: str) -> Iterator[tuple[
         alarms = sum(bool(set(row["named"]) - {effect for effect, _ in row["case"]["effects"]}) for row in own)
         yield (f"{group} ({about})", str(len(own)), str(len(seen)), _share(seen, lambda row: row["first"]),
                _share(seen, lambda row: row["exact"]), f"{alarms} of {len(own)}")  # fmt: skip
+
+
+def _stated(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+    statements: list[tuple[float, bool, bool]] = []
+    for row in rows:
+        if "skipped" in row or row["verdict"] == "adequate" or row["absorbed"]:
+            continue
+        truth = {effect for effect, _ in row["case"]["effects"]}
+        families = {EFFECTS[own_name(effect)].family for effect in truth}
+        for effect, probability, _ in row["ranking"]:
+            if effect in row["named"]:
+                is_right = effect in truth
+                statements.append((probability, is_right, is_right or EFFECTS[own_name(effect)].family in families))
+    for low, high in pairwise(BINS):
+        own = [one for one in statements if low <= one[0] < high or one[0] == high == BINS[-1]]
+        if not own:
+            continue
+        mean = float(np.mean([probability for probability, *_ in own]))
+        least, most = _interval(sum(is_right for _, is_right, _ in own), len(own))
+        yield (f"{low:g} to {high:g}", str(len(own)), f"{mean:.2f}", _share(own, lambda one: one[1]),
+               "yes" if least <= mean <= most else "no", _share(own, lambda one: one[2]))  # fmt: skip
 
 
 def _discoveries(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:

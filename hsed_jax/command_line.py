@@ -356,7 +356,7 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
     elif step == "diagnose" and done.diagnosis is not None:
         yield done.diagnosis
         if done.diagnosis.effects:
-            from hsed_jax.reporting.worth import EXPLAINED
+            from hsed_jax.reporting.probabilities import EXPLAINED
 
             yield EXPLAINED
         if done.remaining is not None:

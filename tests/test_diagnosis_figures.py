@@ -18,7 +18,6 @@ from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.reporting import behaviour_figures, diagnosis_figures, style
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
 from hsed_jax.reporting.inline_svg import inline
-from hsed_jax.reporting.worth import worth
 from hsed_jax.runs.figures import diagnosis_drawings
 from hsed_jax.runs.results import _ranking
 
@@ -76,7 +75,7 @@ def test_a_bar_is_how_much_worse_a_candidate_predicts_and_named_effects_and_look
     assert bars["look-alike of a named effect"][0].get_hatch()
     assert [tick.get_text() for tick in panel.get_yticklabels()] == ["pinching", "slip", "gap"]
     assert {"0.970", "0.030", "< 0.001", "0.0", "−9.5", "−802.0"} <= set(texts(picture))
-    assert "the best one gains 800 nats" in picture.caption and "among the listed formulas" in picture.caption
+    assert "the best one gains 800 nats" in picture.caption and "not in the catalogue" in picture.caption
     assert "pinching or slip" in picture.caption
     assert "pinching with a gain of 800 nats and a probability of 0.970" in picture.alt
 
@@ -106,11 +105,6 @@ def test_a_named_effect_never_carries_a_probability_of_nothing():
     picture = ranking(diagnosis([candidate("pinching", 4.0, 1e-7), candidate("slip", 3.0, 1e-7)], ["pinching"]))
     assert "by prediction" in texts(picture) and "< 0.001" in texts(picture)
     assert "probability of by prediction" not in picture.alt
-
-
-@pytest.mark.parametrize(("probability", "right"), [(0.9995, 0.8), (0.95, 0.8), (0.6, 0.5), (0.3, None)])
-def test_what_a_probability_is_worth_where_the_formula_is_not_listed(probability, right):
-    assert worth(probability) == right
 
 
 def test_the_best_candidates_are_shown_the_named_ones_first():

@@ -83,7 +83,7 @@ def test_the_terminal_says_the_error_before_the_draws_what_probabilities_are_and
     told = (run.parent / "told.txt").read_text()
     found = told.index("improve: the error on the fitted experiments is 0.00")
     assert found < told.index("the improved model, calibrated on 1 experiment")
-    assert "Probabilities are among the listed formulas." in told
+    assert "whose formula is not in the catalogue" in told
     assert (
         told.count("the improved model: ") == 2
         and "where" in json.loads((run / "summary.json").read_text())["improvement"]["comparison"]

@@ -7,6 +7,7 @@ from pathlib import Path
 from statistics import median
 
 import hsed_jax as hx
+from hsed_jax.behaviour.names import RIGHT
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -78,3 +79,15 @@ def test_the_errors_of_real_specimens_are_those_that_were_measured():
     )
     # The caption says so.
     assert all(run["named"] > run["noise"] for run in runs)
+
+
+def test_the_share_of_right_names_is_that_of_formulas_which_are_not_in_the_catalogue():
+    rows = [row for row in kept("hidden_effects_unseen.json") if "skipped" not in row]
+    seen = [row for row in rows if row["verdict"] != "adequate" and not row["absorbed"]]
+    sure = [
+        effect in {hidden for hidden, _ in row["case"]["effects"]}
+        for row in seen
+        for effect, weight, _ in row["ranking"]
+        if effect in row["named"] and weight >= 0.999
+    ]
+    assert (sum(sure), len(sure)) == (119, 128) and round(119 / 128, 2) == RIGHT

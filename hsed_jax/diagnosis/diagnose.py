@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.behaviour.findings import Behaviours
+from hsed_jax.behaviour.names import RIGHT
 from hsed_jax.criticism.compare import discrepancy_p_value, is_noise
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.averaging import averaged
@@ -170,7 +171,7 @@ def _explanations(search: Search, models: list[Model], best: Model, called: Mapp
     groups: dict[Set, list[Model]] = {}
     for model in models:
         groups.setdefault(called.get(model.effects, model.effects), []).append(model)
-    weights = {name: sum(m.probability for m in group) for name, group in groups.items()}
+    weights = {name: RIGHT * sum(m.probability for m in group) for name, group in groups.items()}
     own = called.get(best.effects, best.effects)
     kept = [name for name, weight in weights.items() if weight >= _COUNTS or name == own]
     first = {name: best if name == own else groups[name][0] for name in kept}
@@ -221,8 +222,9 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
 
 
 def _probability(effect: str, models: list[Model], called: Mapping[Set, Set]) -> float:
-    """Probability of an effect: the sum over all models that contain it by their names in `called`."""
-    return min(sum(m.probability for m in models if effect in called.get(m.effects, m.effects)), 1.0)
+    """Probability of an effect: the weight of all models with it, by the names of their behaviour, times the share of right
+    names."""
+    return RIGHT * min(sum(m.probability for m in models if effect in called.get(m.effects, m.effects)), 1.0)
 
 
 def _ranking(

@@ -29,7 +29,7 @@ class Candidate:
 
     Attributes:
         effect, family: of the catalogue.
-        probability: sum over all considered models that contain the effect.
+        probability: weight of all considered models that contain the effect, times the share of right names (`RIGHT`).
         log_evidence_gain: of the model with it over the same model without it.
         rao_statistic, rao_p_value: Rao's score test of its amplitude in the first model (without candidates).
         estimate: its parameters, dimensionless and in physical units: mean, sd, 5 % and 95 % quantile, unit.
@@ -109,7 +109,7 @@ class Explained:
     Attributes:
         effects: names of the effects by their behaviour.
         forms: of the representative model: the named model, or else the most probable one.
-        weight: sum over all these models.
+        weight: probability of all these models together, times the share of right names (`RIGHT`).
         error_test: of the representative model, as in a `Candidate`.
         score: of the representative model, as in a `Candidate`.
     """

@@ -17,9 +17,9 @@ from hsed_jax.physics.names import named, owner_of
 from hsed_jax.physics.pairs import Pair
 from hsed_jax.reporting import style
 from hsed_jax.reporting.misfit_figures import hysteresis_loops, line_of_equality, quantity_of, words_of_loop
+from hsed_jax.reporting.probabilities import EXPLAINED
+from hsed_jax.reporting.probabilities import shown as probability_text
 from hsed_jax.reporting.style import Picture
-from hsed_jax.reporting.worth import EXPLAINED
-from hsed_jax.reporting.worth import shown as probability_text
 
 _SHOWN = 12
 _BEHIND = 30.0  # nats

@@ -8,7 +8,7 @@ from hsed_jax.criticism.prediction import error_cell
 from hsed_jax.physics.effects import called
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
-from hsed_jax.reporting.worth import AMONG, shown, worth
+from hsed_jax.reporting.probabilities import shown
 
 _QUOTED = 5  # doubts of the data
 
@@ -133,9 +133,7 @@ def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
         by_name = {candidate["effect"]: candidate for candidate in diagnosis["ranking"]}
         for effect in diagnosis["effects"]:
             probability = by_name[effect]["probability"]
-            label = f"probability of {effect.replace('_', ' ')} {AMONG}"
-            if right := worth(probability):
-                label += f"; if its formula is not listed, right in about {100 * right:.0f} %"
+            label = f"probability of {effect.replace('_', ' ')}"
             text = shown(probability, is_named=True)
             found.append({"key": f"probability_{effect}", "label": label, "value": probability, "text": text})
     if "design" in summary:

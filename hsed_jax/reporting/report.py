@@ -32,8 +32,8 @@ from hsed_jax.reporting.digest import (
 from hsed_jax.reporting.finished import FinishedRun
 from hsed_jax.reporting.inline_svg import InlineFigure, inline
 from hsed_jax.reporting.page import number, render
-from hsed_jax.reporting.worth import AMONG, EXPLAINED, worth_text
-from hsed_jax.reporting.worth import shown as probability_text
+from hsed_jax.reporting.probabilities import EXPLAINED
+from hsed_jax.reporting.probabilities import shown as probability_text
 from hsed_jax.tables import cell
 
 _SHOWN, _CYCLES = 12, 40
@@ -237,8 +237,7 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         "effect",
         "family",
         "size (90 % interval)",
-        f"probability {AMONG}",
-        "right, where unlisted",
+        "probability",
         "predicts better by",
         "error, fitted",
         "error, not used",
@@ -249,7 +248,7 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         known = [(name, e) for name, e in candidate["estimate"].items() if "q05" in e]
         sizes = [_size(name, e) for name, e in known[: None if named[-1] else 1]]
         probability = candidate.get("probability", 0.0)
-        numbers = [probability_text(probability, named[-1]), worth_text(probability)]
+        numbers = [probability_text(probability, named[-1])]
         score = candidate.get("score")
         numbers += ["–" if score is None else f"{score['gain']:.1f} ± {score['standard_error']:.1f} nats"]
         numbers += [error_cell(candidate.get(key)) for key in ("error_train", "error_test")]
