@@ -13,6 +13,8 @@ from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.reporting.page_tables import residual_table, samples_table
 from hsed_jax.runs.reading import read_run
 
+pytestmark = pytest.mark.whole
+
 ROWS, SAMPLES = 50_000, 100
 STIFFNESS, STRENGTH, CUBIC = 2e7, 1e5, 5e7  # N/m, N, N/m³
 FIGURES = {

@@ -688,6 +688,7 @@ def parts(content, before=()):
         yield from parts(value, (*before, key))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("kind", "first"), [("missing", 0), ("number", 2), ("list", 4), ("text", 6), ("null", 8)])
 def test_a_summary_that_lacks_a_part_makes_a_report_or_one_clear_message(folder, capsys, monkeypatch, kind, first):
     # The summary alone changes.

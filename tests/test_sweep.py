@@ -448,6 +448,7 @@ def disturbed(tmp_path_factory):
     return study, done, (here / "performed.txt").read_text().split()
 
 
+@pytest.mark.whole
 def test_a_failure_is_isolated_and_a_dead_process_replaced(disturbed):
     _, done, performed = disturbed
     assert done.table["status"].tolist() == ["complete", "complete", "complete", "failed"]
