@@ -36,7 +36,10 @@ MEASURED = {
     "concrete column": ("rc_column/records/column.csv", {"displacement": "m", "force": "kN"}, "Pinching4", {}),
     "concrete column, IMK": ("rc_column/records/column.csv", {"displacement": "m", "force": "kN"}, "IMKPinching", {}),
     "steel brace": ("steel_specimens/brace_Black_Strut-1.csv", {}, "HystereticSM", {"negative": {}}),
+    "steel brace, Pinching4": ("steel_specimens/brace_Black_Strut-1.csv", {}, "Pinching4", {}),
+    "steel brace, IMK": ("steel_specimens/brace_Black_Strut-1.csv", {}, "IMKPinching", {}),
     "masonry wall CS01": ("stone_masonry/curves/FD_CS01_Magenes2010.csv", {}, "Pinching4", {}),
+    "masonry wall CS01, IMK": ("stone_masonry/curves/FD_CS01_Magenes2010.csv", {}, "IMKPinching", {}),
 }
 MADE = ("SelfCentering", "IMKBilin", "SAWS", "IMKPeakOriented", "Pinching4")
 NOISE = 0.02

@@ -9,9 +9,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta as beta_distribution
 
-from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.names import own_name
-
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 TITLE = "Intervals, diagnoses and measured specimens"
 
@@ -162,6 +159,10 @@ def _diagnoses(rows: Sequence[Mapping[str, Any]], about: str) -> Iterator[tuple[
 
 
 def _stated(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+    # The pages are written after pytest has run in this process: it wants to import the package itself.
+    from hsed_jax.physics.effects import EFFECTS
+    from hsed_jax.physics.names import own_name
+
     statements: list[tuple[float, bool, bool]] = []
     for row in rows:
         if "skipped" in row or row["verdict"] == "adequate" or row["absorbed"]:

@@ -49,7 +49,8 @@ reversal of the specimen.""",
         "Spring laws",
         """Each law is compared with a second program of the law (`tests/laws_in_steps.py`), with its closed form, and with
 the materials of OpenSees: along paths of imposed elongation and in a structure that is shaken. `tests/data/laws.csv` has
-forces that OpenSees computed.""",
+forces that OpenSees computed. A material of OpenSees that is a [model](../opensees_laws.md) is compared with the formulas of
+its parameters.""",
     ),
     "effects": (
         "Effects and their forms",
@@ -59,7 +60,8 @@ structure, a motion or a record that was changed by hand.""",
     ),
     "opensees": (
         "Exported laws in OpenSees",
-        """`hsed export` writes a law with its effects as materials of OpenSees. OpenSees pulls each of them along growing cycles.
+        """`hsed export` writes a law with its effects as materials of OpenSees, and so a material that is the model itself.
+OpenSees pulls each of them along growing cycles.
 The error is the root mean square of the difference over the standard deviation of the force. Materials of OpenSees that
 integrate their force are of first order in the step, and have most of the error. `python docs/verification.py
 tests/test_export.py -m verification` measures every case of the export.""",

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.studies import SMALL
+from laws_in_steps import MenegottoPinto
+from observations import of_largest, relative
 
 import hsed_jax as hx
 from hsed_jax.command_line import main
@@ -117,12 +119,16 @@ def test_a_material_has_few_free_parameters_and_each_has_a_prior_from_the_record
 
 
 @NEEDS_OPENSEES
+@pytest.mark.verification("laws")
 @pytest.mark.parametrize("name", MATERIALS)
-def test_a_material_is_as_stiff_as_its_parameter_says_and_symmetric(name):
+def test_a_material_is_as_stiff_as_its_parameter_says_and_symmetric(name, observed):
     small = np.linspace(0, 1e-3 * STRENGTH / STIFFNESS, 5)[1:]
     # The curves of Steel4 and SAWS bend from the beginning.
-    assert force(name, small) == pytest.approx(STIFFNESS * small, rel=2e-3)
-    assert force(name, -CYCLES[:120]) == pytest.approx(-force(name, CYCLES[:120]), rel=1e-9)
+    observed(
+        f"{name} of OpenSees: initial stiffness", "parameter k", relative(force(name, small), STIFFNESS * small), 2e-3
+    )
+    there, back = force(name, CYCLES[:120]), force(name, -CYCLES[:120])
+    observed(f"{name} of OpenSees: force of the other sign", "force of the first sign", of_largest(-back, there), 1e-9)
 
 
 @NEEDS_OPENSEES
@@ -138,19 +144,22 @@ def test_zero_degrades_nothing_and_each_rate_degrades(name):
 
 
 @NEEDS_OPENSEES
-def test_pinching4_and_hysteretic_sm_follow_the_points_of_their_backbones():
+@pytest.mark.verification("laws")
+def test_pinching4_and_hysteretic_sm_follow_the_points_of_their_backbones(observed):
     for u, f in four_points(PARAMETERS["Pinching4"]):
-        assert force("Pinching4", np.linspace(0, u, 50))[-1] == pytest.approx(f, rel=1e-6)
+        found = force("Pinching4", np.linspace(0, u, 50))[-1]
+        observed("Pinching4 of OpenSees: monotone force", "points of its backbone", relative(found, f), 1e-6)
     p = PARAMETERS["HystereticSM"]
     top = p["F_m"] / p["k"] + p["u_p"]
-    assert force("HystereticSM", np.linspace(0, top, 50))[-1] == pytest.approx(p["F_m"], rel=1e-6)
-    down = force("HystereticSM", np.linspace(0, top + 0.5 * p["u_c"], 50))[-1]
-    assert down == pytest.approx(0.5 * p["F_m"], rel=1e-6)
+    for u, f in ((top, p["F_m"]), (top + 0.5 * p["u_c"], 0.5 * p["F_m"])):
+        found = force("HystereticSM", np.linspace(0, u, 50))[-1]
+        observed("HystereticSM of OpenSees: monotone force", "points of its backbone", relative(found, f), 1e-6)
 
 
 @NEEDS_OPENSEES
+@pytest.mark.verification("laws")
 @pytest.mark.parametrize("name", ["IMKBilin", "IMKPeakOriented", "IMKPinching"])
-def test_imk_follows_its_backbone_and_a_weaker_side(name):
+def test_imk_follows_its_backbone_and_a_weaker_side(name, observed):
     p = PARAMETERS[name]
     top = p["F_y"] / p["k"] + p["u_p"]
     for u, f in (
@@ -158,33 +167,47 @@ def test_imk_follows_its_backbone_and_a_weaker_side(name):
         (p["F_y"] / p["k"] + 0.5 * p["u_p"], p["F_y"] * (1 + 0.5 * (p["h"] - 1))),
         (top + 0.5 * p["u_c"], 0.5 * p["h"] * p["F_y"]),
     ):
-        assert force(name, np.linspace(0, u, 400))[-1] == pytest.approx(f, rel=0.01)
+        found = force(name, np.linspace(0, u, 400))[-1]
+        observed(f"{name} of OpenSees: monotone force", "points of its backbone", relative(found, f), 1e-6)
     yielded = p["F_y"] / p["k"] + 0.1 * p["u_p"]
     weak = force(name, -np.linspace(0, yielded, 400), negative=0.5)[-1]
     assert weak == pytest.approx(0.5 * force(name, -np.linspace(0, yielded, 400))[-1], rel=0.15)
 
 
 @NEEDS_OPENSEES
-def test_self_centering_is_the_flag_of_its_formulas():
+@pytest.mark.verification("laws")
+def test_self_centering_is_the_flag_of_its_formulas(observed):
     p = PARAMETERS["SelfCentering"]
     u_a, k2 = p["F_a"] / p["k"], p["b"] * p["k"]
     u = np.concatenate([np.linspace(0, 4 * u_a, 2000), np.linspace(4 * u_a, 0, 2000)])
     found = force("SelfCentering", u)
     loading = np.where(u[:2000] < u_a, p["k"] * u[:2000], p["F_a"] + k2 * (u[:2000] - u_a))
-    assert found[:2000] == pytest.approx(loading, abs=1e-3 * p["F_a"])
+    apart = np.abs(found[:2000] - loading) / p["F_a"]
+    observed("SelfCentering of OpenSees: force of a flag, over F_a", "its formulas", apart, 1e-3)
     # The way back is parallel to the way there, and ends on the elastic branch at the force (1 - beta) F_a.
     middle = np.searchsorted(-u[2000:], -2 * u_a) + 2000
     lower = p["F_a"] * (1 - p["beta"]) + k2 * (u[middle] - u_a * (1 - p["beta"]))
-    assert found[middle] == pytest.approx(lower, rel=1e-3)
-    assert found[-1] == pytest.approx(0.0, abs=1e-3 * p["F_a"])
+    apart = np.abs([found[middle] - lower, found[-1]]) / p["F_a"]
+    observed("SelfCentering of OpenSees: force of a flag, over F_a", "its formulas", apart, 1e-3)
 
 
 @NEEDS_OPENSEES
-def test_saws_follows_the_exponential_backbone():
+@pytest.mark.verification("laws")
+def test_steel4_follows_the_curve_of_menegotto_and_pinto(observed):
+    p = PARAMETERS["Steel4"]
+    law = MenegottoPinto(p["k"], p["F_y"], p["b"], p["R_0"], p["r_1"], p["r_2"])
+    u = np.linspace(0, REACH, 400)[1:]
+    expected = [law.move(x) for x in u]
+    observed("Steel4 of OpenSees: monotone force", "law in steps", of_largest(force("Steel4", u), expected), 1e-6)
+
+
+@NEEDS_OPENSEES
+@pytest.mark.verification("laws")
+def test_saws_follows_the_exponential_backbone(observed):
     p = PARAMETERS["SAWS"]
     u = np.linspace(0, 0.9 * p["u_u"], 300)
     formula = (p["F_0"] + p["R1"] * p["k"] * u) * (1 - np.exp(-p["k"] * u / p["F_0"]))
-    assert force("SAWS", u) == pytest.approx(formula, rel=1e-6, abs=1e-3)
+    observed("SAWS of OpenSees: monotone force", "exponential", of_largest(force("SAWS", u), formula), 1e-6)
 
 
 def test_the_path_has_the_samples_and_short_steps():
@@ -355,18 +378,23 @@ def test_init_refuses_an_unknown_model(tmp_path, model, message, capsys):
 
 
 @NEEDS_OPENSEES
+@pytest.mark.verification("opensees")
 @pytest.mark.parametrize("name", MATERIALS)
-def test_the_exported_script_has_the_forces_of_the_simulation(name):
-    degrading = {key: (2.0 if name.startswith("IMK") else 0.05) for key in DEGRADING.get(name, ())}
-    parameters = {**PARAMETERS[name], **degrading}
+def test_the_exported_script_has_the_forces_of_the_simulation(name, observed):
+    rates = {key: (2.0 if name.startswith("IMK") else 0.05) for key in DEGRADING.get(name, ())}
     fine = np.concatenate([[0.0], finely(CYCLES)[0]])
-    simulated = Along(fine, Simulated(name)(parameters, {"elongation": fine})["force"])
-    command = Command("uniaxialMaterial", (name, 1, *MATERIALS[name].arguments(parameters)))
-    assert difference(python_script("A test.", [], [command], REACH), simulated) < 0.01
-    # Another stiffness is another force: the measure sees it.
-    other = MATERIALS[name].arguments({**parameters, "k": 0.8 * STIFFNESS})
-    wrong = python_script("A test.", [], [Command("uniaxialMaterial", (name, 1, *other))], REACH)
-    assert difference(wrong, simulated) > 0.01
+    # Without degradation its parameters are exactly zero.
+    for parameters in ({**PARAMETERS[name], **rates}, PARAMETERS[name]):
+        simulated = Along(fine, Simulated(name)(parameters, {"elongation": fine})["force"])
+        command = Command("uniaxialMaterial", (name, 1, *MATERIALS[name].arguments(parameters)))
+        error = difference(python_script("A test.", [], [command], REACH), simulated)
+        observed(
+            f"{name} as the model: error of the force along growing cycles", "exported script in OpenSees", error, 1e-6
+        )
+        # Another stiffness is another force: the measure sees it.
+        other = MATERIALS[name].arguments({**parameters, "k": 0.8 * STIFFNESS})
+        wrong = python_script("A test.", [], [Command("uniaxialMaterial", (name, 1, *other))], REACH)
+        assert difference(wrong, simulated) > 0.01
 
 
 @NEEDS_OPENSEES

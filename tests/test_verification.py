@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from observations import KEPT, Observed, of_largest, relative, words
 
+from hsed_jax.models.opensees import MATERIALS
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.laws import LAWS
 
@@ -78,6 +79,8 @@ def test_every_law_and_every_effect_has_rows(manual, kept):
     problems = {chapter: " ".join(row.problem for row in manual.rows_of(kept, chapter)) for chapter in manual.CHAPTERS}
     assert [law for law in LAWS if f"{law}:" not in problems["convergence"]] == []
     assert [law for law in LAWS if not re.search(rf"\b{law}\b", problems["laws"])] == []
+    for chapter in ("laws", "opensees"):
+        assert [name for name in MATERIALS if not re.search(rf"\b{name}\b", problems[chapter])] == []
     assert [effect for effect in EFFECTS if not re.search(rf"\b{effect}\b", problems["effects"])] == []
 
 
