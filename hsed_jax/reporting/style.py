@@ -75,7 +75,7 @@ def in_house_style[**P, R](draw: Callable[P, R]) -> Callable[P, R]:
     return styled
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Picture:
     """A figure with its caption and its content as alternative text."""
 
@@ -93,6 +93,9 @@ class Picture:
         engine.execute(self.figure)
         # Not "none": a figure with this engine is drawn once more whenever it is saved.
         self.figure.set_layout_engine(None)
+
+    def __repr__(self) -> str:
+        return f"Picture: {self.caption}"
 
     @in_house_style
     def _repr_png_(self) -> bytes:

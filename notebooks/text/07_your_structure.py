@@ -101,13 +101,18 @@ test = hx.load_study("../configs/cyclic.yaml", ["steps=[design, calibrate]"])
 hx.simulate(test, {"a": 40.0, "v": 50.0})
 
 # %% [markdown]
-# The design searches for the test with the largest discrepancy, as it does for earthquakes. `run.steps` has one entry per
-# chosen test. Its `cube` contains the chosen inputs, scaled to the range from 0 to 1. Its `map` contains the estimates of the
-# parameters. A real laboratory gets a file with the elongation to impose.
+# The design searches for the test with the largest discrepancy, as it does for earthquakes. `run.campaign` has all tests
+# with their inputs, the initial design first. A real laboratory gets a file with the elongation to impose.
 
 # %%
 run = hx.run(test, FOLDER / "cyclic", progress=False)
-run.steps
+run.campaign
+
+# %% [markdown]
+# `run.steps` has one entry per chosen test. Its `map` contains the estimates of the parameters (SI) before this test.
+
+# %%
+[step["map"] for step in run.steps]
 
 # %% [markdown]
 # A study file describes structures with several specimens, calibrated masses, applied forces and imposed cycles. [The
