@@ -1,15 +1,18 @@
 """One experiment integrated by diffrax: a lean Runge–Kutta step, peaks of the continuous response, sampled channels.
 
 diffrax's own Runge–Kutta classes store every stage; at six states and a thousand steps that costs twenty times the
-arithmetic.  `RungeKutta4` keeps nothing.  The independent variable of the integration is the *step number*, so that step
-ends are exact integers, uneven sampling is a table of step lengths, and a padded step has length zero.
+arithmetic.  `RungeKutta4` keeps nothing.  The independent variable of the integration is the *step number*, so that uneven
+sampling is a table of step lengths, and a padded step has length zero.
+
+diffrax's interface for manual steps makes the loop here.  Its own loop (`diffeqsolve`) serves adaptive steps: it compares every
+time with the last one within rounding errors, which takes a quarter to a half of the compilation of a program.
 """
 
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false
 
 from operator import itemgetter
-from typing import Any, ClassVar, NamedTuple, cast, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import diffrax
 import equinox as eqx
@@ -77,7 +80,7 @@ class RungeKutta4(diffrax.AbstractSolver[Any]):
         """One step from step number `t0` to `t1 = t0 + 1`."""
         del made_jump
         system, *_ = args
-        number = jnp.asarray(jnp.rint(t0), int)
+        number = jnp.asarray(t0, int)
         lengths = jnp.asarray(self.step_length)
         h = lengths if lengths.ndim == 0 else lengths[number]
         carry, first = solver_state
@@ -195,10 +198,9 @@ def integrate(
     channels: tuple[str, ...] = (),
     quantities: tuple[str, ...] = (),
     every: int = 1,
-    adjoint: diffrax.AbstractAdjoint | None = None,
     stop: Int[Array, ""] | None = None,
 ) -> Response:
-    """Integrate one experiment.
+    """Integrate one experiment, differentiable in forward mode, and without `stop` in reverse mode, too.
 
     Arguments:
         system: the integrated one.
@@ -208,55 +210,45 @@ def integrate(
         channels: names of the histories to keep.
         quantities: names of quantities to compute besides those of Eq. 18.
         every: number of steps between kept samples of the histories (t = 0 is kept, too); divides `steps`.
-        adjoint: the kind of derivatives; by default forward mode, which suits few parameters.
-        stop: steps to make, at most `steps`; samples of histories after them are the last one.
+        stop: steps to make, at most `steps`, rounded up to a kept sample; samples of histories after them are the last one.
 
     Returns:
         The response, with histories of shape (steps // every + 1,); not ok where numbers overflow, or where the steps are too
         long for the spring.
     """
+    solver, terms = RungeKutta4(forcing, step_length, channels), diffrax.ODETerm(_vector_field)
     _, sample = forcing.start()
+    args = (system, sample, 0.0)
     still = system.start()
     names = (*of_each(system.measured, EQ_18), *quantities)
-    begin: dict[str, tuple[Scalar, ...]] = {
-        name: tuple(jnp.asarray(number) for number in quantity(name).kept.start) for name in names
-    }
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(_vector_field),
-        RungeKutta4(forcing, step_length, channels),
-        t0=0.0,
-        t1=float(steps) if stop is None else stop.astype(float),
-        dt0=None,
-        y0=Progress(still, begin, system.channels(still, sample, channels)),
-        args=(system, sample, 0.0),
-        stepsize_controller=_StepsOfOne(),
-        saveat=diffrax.SaveAt(subs=_saves({name: _place(system, name) for name in names}, channels, every)),
-        adjoint=diffrax.ForwardMode() if adjoint is None else adjoint,
-        max_steps=steps,
-        # Steps of one cannot fail; a check would be a call back into Python within the program.
-        throw=False,
-    )
-    assert solution.ys is not None
-    saved = cast(dict[str, dict[str, Array]], solution.ys)
-    histories = saved.get("histories", {})
+    begin: dict[str, tuple[Scalar, ...]] = {name: quantity(name).kept.start for name in names}
+    start = Progress(still, begin, system.channels(still, sample, channels))
+    carry: tuple[Progress, Any] = jax.tree.map(jnp.asarray, (start, solver.init(terms, 0, 1, start, args)))
+
+    def step(number: Any, carry: tuple[Progress, Any]) -> tuple[Progress, Any]:
+        progress, solver_state = carry
+        progress, _, _, solver_state, _ = solver.step(terms, number, number + 1, progress, args, solver_state, False)
+        return progress, solver_state
+
+    def next_sample(number: Any, carry: tuple[Any, dict[str, Array]]) -> tuple[Any, dict[str, Array]]:
+        inner, histories = carry
+        if every > 1:
+            inner = jax.lax.fori_loop(0, every, lambda k, inner: step(every * number + k, inner), inner)
+        else:
+            inner = step(number, inner)
+        return inner, {name: kept.at[number + 1].set(inner[0].channels[name]) for name, kept in histories.items()}
+
+    samples = steps // every
+    histories = {name: jnp.zeros(samples + 1).at[0].set(value) for name, value in carry[0].channels.items()}
+    made = samples if stop is None else -(-stop // every)
+    (end, _), histories = jax.lax.fori_loop(0, made, next_sample, (carry, histories))
     if stop is not None:
-        last = jnp.minimum(jnp.arange(steps // every + 1), stop // every)
+        last = jnp.minimum(jnp.arange(samples + 1), stop // every)
         histories = {name: values[last] for name, values in histories.items()}
-    values = {name: kept[-1] for name, kept in saved["end"].items()}
+    memory = end.state.memory
+    values = {name: quantity(name).kept.value(end.kept[name], memory[_place(system, name)]) for name in names}
     finite = jnp.isfinite(sum(jnp.abs(value) for value in values.values()))
     return Response(values, histories, finite & (system.steepness(forcing, step_length) < RESOLVED))
-
-
-class _StepsOfOne(diffrax.ConstantStepSize):
-    """Steps of one.
-
-    diffrax compares a given first step with the end of the integration. If this end is an operand, the comparison is a
-    callback into Python, and such a program cannot be stored.
-    """
-
-    def init(self, terms: Any, t0: Any, t1: Any, y0: Any, dt0: Any, args: Any, func: Any, error_order: Any) -> Any:
-        """The end of the first step, and the state of the controller."""
-        return super().init(terms, t0, t1, y0, jnp.ones_like(t1), args, func, error_order)
 
 
 def _none(value: Array) -> Array:
@@ -267,27 +259,3 @@ def _vector_field(number: Any, progress: Progress, args: Any) -> Progress:
     system, sample, step = args
     still: Progress = jax.tree.map(_none, progress)
     return still._replace(state=system.rates(progress.state, sample, step))
-
-
-@final
-class _Values(eqx.Module):
-    """The quantities at the end.  Compared by value, so that equal settings are compiled once."""
-
-    places: tuple[tuple[str, int], ...] = eqx.field(static=True)
-
-    def __call__(self, number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
-        # Not the whole state: without masses it contains empty tuples, which diffrax cannot save.
-        del number, args
-        kept, memory = progress.kept, progress.state.memory
-        return {name: quantity(name).kept.value(kept[name], memory[place]) for name, place in self.places}
-
-
-def _channels(number: Any, progress: Progress, args: Any) -> dict[str, Scalar]:
-    return progress.channels
-
-
-def _saves(quantities: dict[str, int], channels: tuple[str, ...], every: int) -> dict[str, diffrax.SubSaveAt]:
-    saves = {"end": diffrax.SubSaveAt(t1=True, fn=_Values(tuple(quantities.items())))}
-    if channels:
-        saves["histories"] = diffrax.SubSaveAt(t0=True, steps=every, fn=_channels)
-    return saves
