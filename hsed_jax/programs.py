@@ -216,7 +216,8 @@ def _spelled(part: Any) -> Any:
 
 def _parts(part: Any) -> Iterator[Any]:
     if dataclasses.is_dataclass(part):
-        return (getattr(part, field.name) for field in dataclasses.fields(part))
+        # A field without a part in comparisons does not change a program.
+        return (getattr(part, field.name) for field in dataclasses.fields(part) if field.compare)
     if isinstance(part, Mapping):
         return iter([pair for item in part.items() for pair in item])
     if isinstance(part, tuple | list):

@@ -17,8 +17,9 @@ from hsed_jax.analysis.calibration import calibrate_built
 from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
 from hsed_jax.errors import UserError
+from hsed_jax.inference.distributions import map_to
 from hsed_jax.inference.expansion import expand
-from hsed_jax.inference.population import Level, Population, Varying, spread_support
+from hsed_jax.inference.population import Level, Population, Varying, spread_scaling
 from hsed_jax.inference.priors import Prior
 from hsed_jax.study.build import Built
 
@@ -213,7 +214,8 @@ def test_a_positive_parameter_varies_by_its_logarithm_and_stays_within_what_its_
 
 def test_the_map_is_where_the_spread_alone_is_most_probable(calibration):
     bars, spreads, weights, *_ = quadrature()
-    u = np.asarray(spread_support(Prior("half_normal", SPREAD)).inv(jnp.asarray(spreads)))
+    prior = Prior("half_normal", SPREAD)
+    u = np.asarray(map_to(prior.distribution, spread_scaling(prior)).inv(jnp.asarray(spreads)))
     most = spreads[np.argmax(weights * np.gradient(spreads, u))]
     # A centre at its best takes one of the bars' degrees of freedom; the joint density of spread and offsets has no such place.
     most *= np.sqrt(1 - 1 / len(bars))

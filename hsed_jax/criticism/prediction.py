@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hsed_jax.inference.likelihood import Data, data_of
+from hsed_jax.inference.simulations import outputs_of
 from hsed_jax.measurements import Experiment, noise_estimate
 from hsed_jax.programs import program
 from hsed_jax.tables import cell
@@ -183,7 +184,9 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     measured, used = np.asarray(data.values), np.asarray(data.weights) > 0
     limits = ABSURD * _largest(measured, used, posterior.groups)
     strangers = posterior.population.strangers(data.members, len(thetas))
-    found = _predicted(posterior, thetas, strangers, data, limits, _shortfall(fit, data))
+    # By the program of the calibration: another one with simulations takes seconds to compile.
+    simulated = outputs_of(posterior, data, np.asarray(_by_experiment(posterior, thetas, strangers, data)))
+    found = _predicted(posterior, thetas, *simulated, data, limits, _shortfall(fit, data))
     measured, used, found = jax.tree.map(lambda values: np.asarray(values)[: int(data.count)], (measured, used, found))
     predicted, ok, sigma, plain, corrected, lost = found
     parts = dict(corrected.parts)
@@ -339,14 +342,15 @@ def _named(experiments: tuple[Experiment, ...], which: np.ndarray) -> str:
 
 
 @program
-def _predicted(posterior, thetas, strangers, data, limits, shortfall):
+def _by_experiment(posterior, thetas, strangers, data):
+    """The parameters of the model, for all experiments or of each its own, (S, m, q)."""
+    return jax.vmap(lambda theta, strangers: posterior.by_experiment(theta, data, strangers))(thetas, strangers)
+
+
+@program
+def _predicted(posterior, thetas, predicted, ok, data, limits, shortfall):
     """Predictions at the first parameters, whether they converged and their σ; bands over those of the other parameters that
     stay within the limits (J,), without and with the discrepancy, and the share (n,) that does not."""
-
-    def at(theta, strangers):
-        return posterior.predict(posterior.by_experiment(theta, data, strangers), data.conditions, data.count)
-
-    predicted, ok = jax.vmap(at)(thetas, strangers)
     at_map = posterior.sigma(thetas[0], predicted[0], ok[0], data)
     good = (ok[1:] > 0) & jnp.all(jnp.abs(predicted[1:]) <= limits, axis=-1)
     share = (good / jnp.sum(good, axis=0))[..., None]

@@ -3,11 +3,12 @@
 import inspect
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from hsed_jax.errors import UserError
 from hsed_jax.plain import in_range, shown
@@ -55,10 +56,7 @@ def distribution_of(name: str, arguments: Any) -> dist.Distribution:
     Raises:
         UserError: no such distribution, wrong arguments, or not scalar and continuous.
     """
-    camel = _SPELLINGS.get(
-        name.lower().replace("_", ""), "".join(part[:1].upper() + part[1:] for part in name.split("_"))
-    )
-    kind: Any = getattr(dist, camel, None)
+    kind = _kind(name)
     if not (isinstance(kind, type) and issubclass(kind, dist.Distribution)) and not callable(kind):
         raise UserError(
             f"there is no distribution {name!r}; allowed are uniform, normal, lognormal, half_normal, truncated_normal "
@@ -99,6 +97,18 @@ def distribution_of(name: str, arguments: Any) -> dist.Distribution:
     return made
 
 
+def member(name: str, keys: tuple[str, ...], numbers: Sequence[Any]) -> dist.Distribution:
+    """The distribution of a name and of numbers, which may be traced: the arguments of these names, or in numpyro's order."""
+    kind = _kind(name)
+    return kind(**dict(zip(keys, numbers, strict=True))) if keys else kind(*numbers)
+
+
+def _kind(name: str) -> Any:
+    """numpyro's class or function of a name."""
+    words = "".join(part[:1].upper() + part[1:] for part in name.split("_"))
+    return getattr(dist, _SPELLINGS.get(name.lower().replace("_", ""), words), None)
+
+
 def _signature(kind: Any) -> tuple[list[str], int]:
     """Names of the arguments of a distribution, and how many of them a location-scale or bounded family needs."""
     try:
@@ -117,16 +127,27 @@ def limits(made: dist.Distribution) -> tuple[float | None, float | None]:
     return (None if low is None else float(low)), (None if high is None else float(high))
 
 
-def map_to(distribution: dist.Distribution) -> Any:
-    """The map from a number to the support of a distribution."""
-    return biject_to(distribution.support)
+def map_to(distribution: dist.Distribution, scaling: Sequence[Any] = ()) -> Any:
+    """The map from numbers of order one to the support of a distribution.
+
+    Arguments:
+        distribution: any.
+        scaling: middle and spread of these numbers along the real line, where they are not of order one by themselves.  With a
+            third number, a size, the map to the positive numbers is the inverse of a logarithm far below it, and straight far
+            above it.
+    """
+    if not scaling:
+        return biject_to(distribution.support)
+    middle, spread, *size = scaling
+    inner = ComposeTransform([SoftplusTransform(), AffineTransform(0.0, *size)]) if size else map_to(distribution)
+    return ComposeTransform([AffineTransform(middle, spread), inner])
 
 
-def scaled(to_support: Any, middle: float, spread: float) -> Any:
-    """A map to a support from numbers of order one."""
-    return ComposeTransform([AffineTransform(middle, spread), to_support])
-
-
-def soft(size: float) -> Any:
-    """The map to the positive numbers that is a logarithm's inverse far below a size, and straight far above."""
-    return ComposeTransform([SoftplusTransform(), AffineTransform(0.0, size)])
+def of_order_one(
+    quantile: Callable[[float], Any], distribution: dist.Distribution, size: tuple[float, ...] = ()
+) -> tuple[float, ...]:
+    """The scaling of `map_to` from the quantiles of a prior."""
+    with jax.ensure_compile_time_eval():
+        inner = map_to(distribution, (0.0, 1.0, *size))
+        below, middle, above = (float(np.asarray(inner.inv(quantile(share)))) for share in (0.16, 0.5, 0.84))
+    return (middle, 0.5 * (above - below), *size)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from hsed_jax.inference.likelihood import Data, decorrelated, log_likelihood
 from hsed_jax.inference.population import Population
-from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.posterior import Posterior, positive_part
 from hsed_jax.inference.simulations import filled, linearised_at
 from hsed_jax.programs import program
 
@@ -119,17 +119,13 @@ def _expansion(
     h = jnp.sqrt(2 * data.weights) * sigma_along
     information = g @ g.T + jnp.einsum("pnj,qnj->pq", h, h)
 
-    def known(u):
-        return jnp.stack([posterior.log_prior(posterior.constrain(u)), posterior.log_prior_of(u)])
-
-    (prior, density), (slope, gradient) = known(u), jax.jacfwd(known)(u)
-    of_priors = jax.jacfwd(posterior.prior_residuals)(u)
+    (prior, density), (slope, gradient), of_priors, of_density = posterior.prior_expansion(u)
     if posterior.population.levels:
         # The density couples spreads and offsets, and its curvature is not positive everywhere.
-        values, axes = jnp.linalg.eigh(information - jax.hessian(posterior.log_prior_of)(u))
+        values, axes = jnp.linalg.eigh(information - of_density)
         curvature = (axes * jnp.maximum(values, _LEAST_OF_POPULATION)) @ axes.T
     else:
-        curvature = information + jnp.diag(posterior.stiffness(u))
+        curvature = information + jnp.diag(positive_part(of_density))
     return Expansion(
         likelihood + prior,
         told + slope,

@@ -22,7 +22,6 @@ from functools import cache
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -37,20 +36,17 @@ _LEAST = 0.2
 
 
 @cache
-def spread_support(prior: Prior) -> Any:
-    """The map from u to a spread.
+def spread_scaling(prior: Prior) -> tuple[float, ...]:
+    """The scaling of u for a spread (`hsed_jax.inference.distributions.map_to`).
 
-    For small spreads it is the logarithm, which the offsets follow.  For large spreads it is the spread itself, because the
+    For small spreads u is the logarithm, which the offsets follow.  For large spreads it is the spread itself, because the
     density of its logarithm would end abruptly.
     """
     if prior.bounds != (0.0, None):
-        return prior.to_support
-    from hsed_jax.inference.distributions import scaled, soft  # loads numpyro, which a check of a study has no use for
+        return prior.scaling
+    from hsed_jax.inference.distributions import of_order_one  # loads numpyro, which a check of a study has no use for
 
-    with jax.ensure_compile_time_eval():
-        to_spread = soft(float(prior.quantile(0.5)))
-        below, middle, above = (float(np.asarray(to_spread.inv(prior.quantile(share)))) for share in (0.16, 0.5, 0.84))
-    return scaled(to_spread, middle, 0.5 * (above - below))
+    return of_order_one(prior.quantile, prior.distribution, (float(prior.quantile(0.5)),))
 
 
 class Varying(NamedTuple):

@@ -25,8 +25,9 @@ from hsed_jax.inference.likelihood import (
     sigma_of,
     standardised_residual,
 )
-from hsed_jax.inference.population import Level, Population, spread_support
+from hsed_jax.inference.population import Level, Population, spread_scaling
 from hsed_jax.inference.predict import Predictor
+from hsed_jax.inference.prior_groups import Described, PriorGroups, root
 from hsed_jax.inference.priors import Prior
 from hsed_jax.programs import program
 
@@ -41,7 +42,8 @@ _LEAST_CURVATURE = 1e-3
 class Posterior(eqx.Module):
     """Prior and likelihood of a study.
 
-    Its priors and names are static, so that programs are compiled once for all posteriors that differ in arrays only.
+    Its names are static, and the numbers of its priors are arrays: programs are compiled once for all posteriors that differ in
+    arrays only.
 
     Arguments:
         predict: predictions of all experiments.
@@ -61,7 +63,8 @@ class Posterior(eqx.Module):
     model_names: tuple[str, ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
-    _priors: tuple[Prior, ...] = eqx.field(static=True)
+    _described: Described = eqx.field(static=True)
+    _known: PriorGroups
     _columns: tuple[int, ...] = eqx.field(static=True)
     _relative: tuple[bool, ...] = eqx.field(static=True)
     _of_measured: tuple[bool, ...] = eqx.field(static=True)
@@ -84,7 +87,10 @@ class Posterior(eqx.Module):
         self.model_names, self.outputs = tuple(priors), tuple(outputs)
         self.population = Population(levels, len(priors) + len(inferred))
         known = {**priors, **inferred, **self.population.spreads}
-        self.names, self._priors = (*known, *self.population.offsets), tuple(known.values())
+        self.names, self._described = (*known, *self.population.offsets), Described(tuple(known.values()))
+        spreads = self.population.spreads
+        scalings = [spread_scaling(p) if name in spreads else p.scaling for name, p in known.items()]
+        self._known = PriorGroups(self._described.priors, scalings)
         self._columns = tuple(np.asarray(groups).tolist())
         self._relative = tuple(error.is_relative for error in errors)
         self._of_measured = tuple(error.of_measured for error in errors)
@@ -96,12 +102,12 @@ class Posterior(eqx.Module):
     @property
     def priors(self) -> dict[str, Prior]:
         """Names of the reported parameters."""
-        return dict(zip(self.reported, self._priors, strict=True))
+        return dict(zip(self.reported, self._described.priors, strict=True))
 
     @property
     def reported(self) -> tuple[str, ...]:
         """The names of the first parameters, which have a physical meaning; the standardised offsets after them have none."""
-        return self.names[: len(self._priors)]
+        return self.names[: len(self.names) - len(self.population.offsets)]
 
     @property
     def fitted(self) -> int:
@@ -123,12 +129,6 @@ class Posterior(eqx.Module):
         return eqx.tree_at(lambda p: p.declared, self, self.declared * factors)
 
     @property
-    def _supports(self) -> list[Any]:
-        """The maps from u to the supports of the priors."""
-        spreads = self.population.spreads
-        return [spread_support(p) if n in spreads else p.to_support for n, p in self.priors.items()]
-
-    @property
     def _errors(self) -> Columns:
         """The references of the errors of the columns."""
         members = (self.groups[:, None] == np.arange(len(self.outputs))).astype(float)
@@ -142,15 +142,19 @@ class Posterior(eqx.Module):
         return self.population.released(self._supported(u))
 
     def _supported(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
-        first = jnp.stack([to_support(x) for to_support, x in zip(self._supports, u, strict=False)])
-        return jnp.concatenate([first, u[first.size :]]) if self.population.levels else first
+        first, offsets = self._split(u)
+        return jnp.concatenate([self._known.supported(first), offsets])
 
     def unconstrain(self, theta: Float[Array, " p"]) -> Float[Array, " p"]:
         """u(θ), kept finite at the bounds."""
-        held = self.population.held(theta)
-        first = jnp.stack([to_support.inv(x) for to_support, x in zip(self._supports, held, strict=False)])
-        u = jnp.concatenate([first, held[first.size :]])
+        first, offsets = self._split(self.population.held(theta))
+        u = jnp.concatenate([self._known.unsupported(first), offsets])
         return jnp.clip(jnp.nan_to_num(u, nan=0.0, posinf=_FAR, neginf=-_FAR), -_FAR, _FAR)
+
+    def _split(self, values: Float[Array, " p"]) -> tuple[Array, Array]:
+        """Coordinates with a prior of their own, and the offsets of a population."""
+        size = len(self.reported)
+        return values[:size], values[size:]
 
     def starts(self, count: int) -> Float[Array, "count p"]:
         """Well-spread starting points: the middle of the prior, then as many parts of its central 80 % along every parameter, a
@@ -158,13 +162,15 @@ class Posterior(eqx.Module):
         from scipy.stats import qmc
 
         # Even a few starts cover both sides of every prior, because a second mode may lie there.
-        parts = qmc.LatinHypercube(len(self._priors), scramble=False, rng=0).random(max(count - 1, 1))
-        shares = np.vstack([np.full((1, len(self._priors)), 0.5), 0.1 + 0.8 * parts])[:count]
+        parts = qmc.LatinHypercube(len(self.reported), scramble=False, rng=0).random(max(count - 1, 1))
+        shares = np.vstack([np.full((1, len(self.reported)), 0.5), 0.1 + 0.8 * parts])[:count]
         return self.at_shares(shares)
 
     def at_shares(self, shares: Float[np.ndarray, "s q"]) -> Float[Array, "s p"]:
         """Points of u at these quantiles of the priors."""
-        columns = [np.asarray(prior.quantile(share)) for prior, share in zip(self._priors, shares.T, strict=True)]
+        columns = [
+            np.asarray(prior.quantile(share)) for prior, share in zip(self._described.priors, shares.T, strict=True)
+        ]
         theta = np.stack(columns, axis=1)
         # Offsets start at zero, because their sign is unknown.
         theta = np.pad(theta, ((0, 0), (0, len(self.population.offsets))))
@@ -232,8 +238,7 @@ class Posterior(eqx.Module):
 
     def log_prior(self, theta: Float[Array, " p"]) -> Float[Array, ""]:
         """Log density of the prior."""
-        known = (prior.log_density(x) for prior, x in zip(self._priors, theta, strict=False))
-        return sum(known, start=self.population.log_prior(theta))
+        return jnp.sum(self._known.log_density(self._split(theta)[0])) + self.population.log_prior(theta)
 
     def residuals(self, u: Float[Array, " p"], data: Data) -> Float[Array, " r"]:
         r"""ρ with ½ρᵀρ = −log posterior + constant, for a least-squares solver.
@@ -251,24 +256,48 @@ class Posterior(eqx.Module):
             # Any fixed reference of the same order will do.
             size = jnp.where(columns.is_relative, magnitudes(data.values, used, columns.members), 1.0)
             excess = data.weights * (log_sigma - jnp.log(jnp.where(used > 0, size, 1.0)) + _ROOM)
-            parts.append(_root(2 * excess @ columns.members[:, inferred]).ravel())
+            parts.append(root(2 * excess @ columns.members[:, inferred]).ravel())
         return jnp.concatenate(parts)
 
     def prior_residuals(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """The part of `residuals` that comes from the priors."""
-        theta, parts = self.constrain(u), []
-        for prior, x in zip(self._priors, theta, strict=False):
-            mode, highest = prior.mode
-            parts.append(jnp.sign(x - mode) * _root(2 * (highest - prior.log_density(x))))
-        return jnp.concatenate([jnp.stack(parts), theta[len(self._priors) :]])
+        first, offsets = self._split(self.constrain(u))
+        return jnp.concatenate([self._known.residuals(first), offsets])
 
     def stiffness(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
         """Positive part of the curvature of prior and transformation in u."""
-        return jnp.maximum(-jnp.diag(jax.hessian(self.log_prior_of)(u)), _LEAST_CURVATURE)
+        return positive_part(self.prior_expansion(u)[-1])
 
-    def log_prior_of(self, u: Float[Array, " p"]) -> Float[Array, ""]:
-        """Log density of the prior *in u*."""
-        return self.log_prior(self.constrain(u)) + self._log_jacobian(u)
+    def prior_expansion(self, u: Float[Array, " p"]) -> tuple[Array, Array, Array, Array]:
+        """Log density of the prior in θ and in u, (2,), their derivatives along u, (2, p), those of `prior_residuals`, (p, p),
+        and the Hessian of the density in u, (p, p).
+
+        The parameters are independent but for a population, so that one direction gives the derivatives of all.
+        """
+        first, ones = self._split(u)[0], jnp.ones(len(self.reported))
+
+        def separate(first: Array) -> Array:
+            theta = self._known.supported(first)
+            density = self._known.log_density(theta)
+            return jnp.stack([density, density + self._known.log_jacobian(first), self._known.residuals(theta)])
+
+        def along(first: Array) -> tuple[Array, Array]:
+            return jax.jvp(separate, (first,), (ones,))
+
+        def common(u: Array) -> tuple[Array, Array]:
+            theta = self.constrain(u)
+            prior = self.population.log_prior(theta)
+            return jnp.stack([prior, prior + self.population.log_jacobian(self._supported(u))]), self._split(theta)[1]
+
+        (values, slopes), (_, curvatures) = jax.jvp(along, (first,), (ones,))
+        (more, _), (more_slopes, offsets) = common(u), jax.jacfwd(common)(u)
+        own = jnp.eye(len(first), len(u))
+        return (
+            jnp.sum(values[:2], axis=1) + more,
+            slopes[:2] @ own + more_slopes,
+            jnp.concatenate([slopes[2][:, None] * own, offsets]),
+            own.T @ (curvatures[1][:, None] * own) + jax.hessian(lambda u: common(u)[0][1])(u),
+        )
 
     def compared_along(
         self,
@@ -335,8 +364,13 @@ class Posterior(eqx.Module):
         return self.population.own(theta, center, data.members, strangers)
 
     def _log_jacobian(self, u: Float[Array, " p"]) -> Float[Array, ""]:
-        terms = [support.log_abs_det_jacobian(x, support(x)) for support, x in zip(self._supports, u, strict=False)]
-        return sum(terms, start=self.population.log_jacobian(self._supported(u)))
+        of_priors = jnp.sum(self._known.log_jacobian(self._split(u)[0]))
+        return of_priors + self.population.log_jacobian(self._supported(u))
+
+
+def positive_part(hessian: Float[Array, "p p"]) -> Float[Array, " p"]:
+    """The diagonal of minus a Hessian, made positive."""
+    return jnp.maximum(-jnp.diag(hessian), _LEAST_CURVATURE)
 
 
 def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any, Any, Any]:
@@ -348,11 +382,6 @@ def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any,
 
     derivative, (value, more) = jax.jacfwd(twice, has_aux=True)(u)
     return value, derivative, more
-
-
-def _root(value: Float[Array, "..."]) -> Float[Array, "..."]:
-    positive = value > 1e-12
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, 1.0)), 0.0)
 
 
 @program

@@ -151,16 +151,31 @@ class Prior:
             return jnp.quantile(draws, jnp.asarray(probability))
 
     @cached_property
-    def to_support(self) -> Any:
-        """The map from u to the support, with u of order one: an unbounded SI number may be 1e6, and so may its spread."""
-        from hsed_jax.inference.distributions import map_to, scaled
-
-        to_support = map_to(self.distribution)
+    def scaling(self) -> tuple[float, ...]:
+        """Middle and spread of u, where the support is unbounded: an SI number may be 1e6, and so may its spread."""
         if None not in self.bounds:
-            return to_support
-        with jax.ensure_compile_time_eval():
-            below, middle, above = (float(to_support.inv(self.quantile(share))) for share in (0.16, 0.5, 0.84))
-        return scaled(to_support, middle, 0.5 * (above - below))
+            return ()
+        from hsed_jax.inference.distributions import of_order_one
+
+        return of_order_one(self.quantile, self.distribution)
+
+    @property
+    def to_support(self) -> Any:
+        """The map from u to the support, with u of order one."""
+        from hsed_jax.inference.distributions import map_to
+
+        return map_to(self.distribution, self.scaling)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the arguments; none if they are in numpyro's order."""
+        return tuple(map(str, self.arguments)) if isinstance(self.arguments, Mapping) else ()
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """The arguments."""
+        given = self.arguments.values() if self.keys else self.arguments
+        return tuple(map(float, given if self.keys or isinstance(given, list | tuple) else [given]))
 
     @cached_property
     def mode(self) -> tuple[float, float]:

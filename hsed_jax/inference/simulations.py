@@ -58,11 +58,7 @@ def linearised_at(
     offsets = steps[:, :, None, None] * np.eye(steps.shape[1])[:, None, :]
     stencil = np.concatenate([theta[:, None], theta[:, None] + offsets, theta[:, None] - offsets], axis=1)
     thetas = stencil.reshape(-1, *stencil.shape[2:])
-    # A call keeps one core busy.
-    each = min(-(-len(thetas) // cores()), points_of_a_call(data))
-    with ThreadPoolExecutor(cores()) as threads:
-        calls = threads.map(lambda at: _called(posterior, data, thetas[at : at + each]), range(0, len(thetas), each))
-        simulated = [np.concatenate(values) for values in zip(*calls, strict=True)]
+    simulated = outputs_of(posterior, data, thetas)
     outputs, ok = (values.reshape(*stencil.shape[:2], *values.shape[1:]) for values in simulated)
     ahead, behind = np.split(np.arange(1, stencil.shape[1]), 2)
     # If one side diverged, the difference uses the other side and the middle.
@@ -75,6 +71,18 @@ def linearised_at(
         ok[:, 0],
         np.einsum("sknj,snkp->snjp", slopes, np.broadcast_to(along, (len(along), slopes.shape[2], *along.shape[2:]))),
     )
+
+
+def outputs_of(
+    posterior: Posterior, data: Data, thetas: Float[np.ndarray, "N m q"]
+) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"]]:
+    """As `outputs_at`, of any number of parameter vectors of the model: for all experiments, or of each experiment its own."""
+    # A call keeps one core busy.
+    each = min(-(-len(thetas) // cores()), points_of_a_call(data))
+    with ThreadPoolExecutor(cores()) as threads:
+        calls = threads.map(lambda at: _called(posterior, data, thetas[at : at + each]), range(0, len(thetas), each))
+        outputs, ok = (np.concatenate(values) for values in zip(*calls, strict=True))
+    return outputs, ok
 
 
 def filled(block: Float[np.ndarray, "k ..."], size: int) -> Float[np.ndarray, "size ..."]:
