@@ -87,3 +87,26 @@ def test_posteriors_with_other_numbers_share_their_programs(posteriors, kind):
     assert [np.shape(a) for a in arrays[0]] == [np.shape(a) for a in arrays[1]]
     assert not all(np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
     assert one.priors != other.priors
+
+
+USUAL = [
+    Prior("uniform", [2, 5]),
+    Prior("normal", [-3.0, 0.2]),
+    Prior("lognormal", [16.0, 0.7]),
+    Prior("half_normal", 0.3),
+    Prior("truncated_normal", {"loc": 0.0, "scale": 0.5, "low": -0.95, "high": 5.0}),
+    Prior("truncated_normal", {"loc": 0.0, "scale": 1.0, "low": 3.0, "high": 4.0}),
+    Prior("truncated_normal", {"loc": 2.0, "scale": 0.5, "low": -0.3, "high": 0.4}),
+]
+
+
+@pytest.mark.parametrize("prior", USUAL, ids=repr)
+def test_quantiles_and_modes_in_closed_form_are_those_of_numpyro(prior):
+    shares = np.linspace(0.001, 0.999, 41)
+    values = np.asarray(prior.distribution.icdf(jnp.asarray(shares)))
+    np.testing.assert_allclose(prior.quantile(shares), values, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose([prior.quantile(float(share)) for share in shares], values, rtol=1e-9, atol=1e-12)
+    mode, highest = prior.mode
+    inside = np.nextafter(mode, prior.quantile(0.5))
+    assert highest == pytest.approx(float(prior.distribution.log_prob(inside)), rel=1e-9)
+    assert highest >= float(np.max(prior.distribution.log_prob(jnp.asarray(values))))

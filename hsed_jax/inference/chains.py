@@ -28,11 +28,11 @@ from hsed_jax.inference.blocks import follow
 from hsed_jax.inference.emulator import Design, Emulator, degree_for, emulate, simulations
 from hsed_jax.inference.importance import TELLING, Proposal, flattened, look, systematic, weighted
 from hsed_jax.inference.likelihood import Data
-from hsed_jax.inference.log_densities import constrained, log_densities, simulated
+from hsed_jax.inference.log_densities import log_densities, simulated
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.moves import moved, wandered
 from hsed_jax.inference.nuts import Chains, Settings, advance, arrived, begin, convergence
-from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.posterior import Posterior, constrained
 from hsed_jax.inference.watch import Watch, fingerprint
 from hsed_jax.programs import program
 

@@ -8,10 +8,10 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from hsed_jax.inference.importance import Proposal, Weighted, resampled, weigh
 from hsed_jax.inference.likelihood import LOG_2PI, Data
-from hsed_jax.inference.log_densities import constrained, log_densities
+from hsed_jax.inference.log_densities import log_densities
 from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.nuts import Chains, Settings
-from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.posterior import Posterior, constrained
 from hsed_jax.inference.requested import Requested
 from hsed_jax.inference.watch import Watch
 

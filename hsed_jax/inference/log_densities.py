@@ -116,12 +116,6 @@ def _over(
         keep()
 
 
-@program
-def constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "N p"]:
-    """θ of many points."""
-    return jax.vmap(posterior.constrain)(u)
-
-
 def _simulated(
     posterior: Posterior, data: Data, u: Float[np.ndarray, "k p"]
 ) -> tuple[Float[np.ndarray, "k n J"], Float[np.ndarray, "k n"], Float[np.ndarray, " k"]]:

@@ -15,7 +15,7 @@ from hsed_jax.inference.correlation import NoiseEstimate, estimate_noise, size_p
 from hsed_jax.inference.expansion import centred, expand
 from hsed_jax.inference.likelihood import Data, Error
 from hsed_jax.inference.maximum import Maximum, maximise
-from hsed_jax.inference.posterior import Posterior
+from hsed_jax.inference.posterior import Posterior, constrained, unconstrained
 from hsed_jax.inference.watch import arrays_of, tree_like
 from hsed_jax.programs import program
 
@@ -58,15 +58,15 @@ def known_start(posterior: Posterior, data: Data, start: Float[Array, " q"]) -> 
         data: measured outputs.
         start: parameters of the model (SI).
     """
-    theta = posterior.constrain(posterior.starts(1)[0]).at[: start.size].set(start)
-    u = posterior.unconstrain(theta)
+    theta = constrained(posterior, posterior.starts(1))[0].at[: start.size].set(start)
+    u = unconstrained(posterior, theta[None])[0]
     (there,) = expand(posterior, data, [np.asarray(u)])
     standardised = np.asarray(against_declared(posterior, data, posterior, u, there.predicted, there.ok))
     for output, place in posterior.inferred:
         own = (np.asarray(data.weights) > 0) & (posterior.groups == output) & (np.asarray(there.ok) > 0)[:, None]
         if own.any():
             theta = theta.at[place].multiply(float(np.sqrt(np.mean(standardised[own] ** 2))))
-    return posterior.unconstrain(theta)
+    return unconstrained(posterior, theta[None])[0]
 
 
 def most_probable(
@@ -101,7 +101,7 @@ def most_probable(
             break
         posterior, is_centred = centred(posterior, data, maximum.theta), True
         # With other errors the modes move; the starts over the whole prior were searched before.
-        points = jnp.stack([posterior.unconstrain(mode.theta) for mode in maximum.modes])
+        points = unconstrained(posterior, jnp.stack([mode.theta for mode in maximum.modes]))
         maximum = maximise(posterior, data, points)
     return posterior, data, maximum, process
 

@@ -174,7 +174,7 @@ class Posterior(eqx.Module):
         theta = np.stack(columns, axis=1)
         # Offsets start at zero, because their sign is unknown.
         theta = np.pad(theta, ((0, 0), (0, len(self.population.offsets))))
-        return _unconstrained(self, jax.device_put(theta))
+        return unconstrained(self, jax.device_put(theta))
 
     def errors(self, theta: Float[Array, " p"]) -> Float[Array, " J"]:
         """s of every column: declared or taken from θ."""
@@ -385,5 +385,12 @@ def _value_and_jacobian(function: Callable, u: Float[Array, " p"]) -> tuple[Any,
 
 
 @program
-def _unconstrained(posterior: Posterior, theta: Float[Array, "s p"]) -> Float[Array, "s p"]:
+def constrained(posterior: Posterior, u: Float[Array, "N p"]) -> Float[Array, "N p"]:
+    """θ of many points."""
+    return jax.vmap(posterior.constrain)(u)
+
+
+@program
+def unconstrained(posterior: Posterior, theta: Float[Array, "N p"]) -> Float[Array, "N p"]:
+    """u of many points."""
     return jax.vmap(posterior.unconstrain)(theta)

@@ -4,6 +4,7 @@ A check of a study needs bounds and single quantiles.  For the usual families th
 to load as the rest of a check, so it is loaded only for other functions, or to explain a fault.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -29,12 +30,14 @@ class _Family(NamedTuple):
         is_one: whether the arguments are valid.
         bounds: limits of the support.
         quantile: from the arguments and shares between 0 and 1, one number or an array.
+        mode: the value with the largest density, and the log of that density.
     """
 
     arguments: tuple[str, ...]
     is_one: Callable[..., bool]
     bounds: Callable[..., Bounds]
     quantile: Callable[..., Any]
+    mode: Callable[..., tuple[float, float]]
 
 
 def _standard(share: Any) -> Any:
@@ -44,6 +47,28 @@ def _standard(share: Any) -> Any:
     from scipy.special import ndtri  # a check of a study asks for single numbers, and does not wait for SciPy
 
     return ndtri(share)
+
+
+def _truncated(loc: float, scale: float, low: float, high: float, share: Any) -> Any:
+    """Quantiles of a truncated normal distribution."""
+    if low > loc:  # the lower tail has more digits
+        return -_truncated(-loc, scale, -high, -low, 1 - share)
+    below, above = (_STANDARD.cdf((end - loc) / scale) for end in (low, high))
+    return loc + scale * _standard(below + share * (above - below))
+
+
+def _largest(scale: float, share: float = 1.0) -> float:
+    """Log density of a normal distribution at its mode, if this share of it is left."""
+    return -math.log(scale * share * math.sqrt(2 * math.pi))
+
+
+def _of_truncated(loc: float, scale: float, low: float, high: float) -> tuple[float, float]:
+    mode = min(max(loc, low), high)
+    ends = [(end - loc) / scale for end in (low, high)]
+    if low > loc:
+        ends = [-end for end in ends[::-1]]
+    below, above = map(_STANDARD.cdf, ends)
+    return mode, _largest(scale, above - below) - 0.5 * ((mode - loc) / scale) ** 2
 
 
 def _exponential(value: Any) -> Any:
@@ -58,24 +83,36 @@ _FAMILIES = {
         lambda low, high: low < high,
         lambda low, high: (low, high),
         lambda low, high, share: low + share * (high - low),
+        lambda low, high: (low, -math.log(high - low)),
     ),
     "normal": _Family(
         ("loc", "scale"),
         lambda loc, scale: scale > 0,
         lambda loc, scale: (None, None),
         lambda loc, scale, share: loc + scale * _standard(share),
+        lambda loc, scale: (loc, _largest(scale)),
     ),
     "lognormal": _Family(
         ("loc", "scale"),
         lambda loc, scale: scale > 0,
         lambda loc, scale: (0.0, None),
         lambda loc, scale, share: _exponential(loc + scale * _standard(share)),
+        lambda loc, scale: (_exponential(loc - scale**2), _largest(scale) - loc + 0.5 * scale**2),
     ),
     "half_normal": _Family(
         ("scale",),
         lambda scale: scale > 0,
         lambda scale: (0.0, None),
         lambda scale, share: scale * _standard(0.5 + 0.5 * share),
+        lambda scale: (0.0, _largest(scale, 0.5)),
+    ),
+    "truncated_normal": _Family(
+        ("loc", "scale", "low", "high"),
+        # Further out than this, the share between the bounds has few digits.
+        lambda loc, scale, low, high: scale > 0 and low < high and max(low - loc, loc - high) < 5 * scale,
+        lambda loc, scale, low, high: (low, high),
+        _truncated,
+        _of_truncated,
     ),
 }
 
@@ -179,7 +216,9 @@ class Prior:
 
     @cached_property
     def mode(self) -> tuple[float, float]:
-        """The value of highest density and its log density, by search over the support."""
+        """The value of highest density and its log density; by search over the support where there is no closed form."""
+        if (member := self._member) is not None:
+            return member.family.mode(*member.arguments)
         with jax.ensure_compile_time_eval():
             grid = np.asarray(self.quantile(np.linspace(1e-4, 1 - 1e-4, 2001)))
             log_density = np.asarray(self.log_density(jnp.asarray(grid)))
