@@ -47,7 +47,7 @@ def test_the_gain_is_that_of_a_model_with_the_other_prior(strong):
         models = strong.models.within(box)
         worths = []
         for columns in (LAW, np.append(LAW, COLUMNS[NAMED])):
-            (fit,) = models.fit(strong.target, [Task(models.submodel(columns), models.neutral)])
+            (fit,) = models.fit(strong.standard.target, [Task(models.submodel(columns), models.neutral)])
             worths.append(laplace(fit, models))
         assert one.log_evidence_gain[NAMED] == pytest.approx(worths[1] - worths[0], abs=1e-3)
         assert one.log_evidence_gain[NAMED] != pytest.approx(one.log_evidence_gain_before[NAMED], abs=0.3)
@@ -65,10 +65,10 @@ def test_predictions_of_what_is_left_out_move_as_those_of_fits_with_the_other_pr
     plain, box = (Stretched(BOX, COLUMNS[NAMED], about, w) for w in (1.0, width))
     moved = moved_by(strong, fit, plain, box)
     models = strong.models.within(Box(PRIORS | {NAMED: Prior("normal", [0.0, width])}))
-    (again,) = models.fit(strong.target, [Task(models.submodel(fit.free), models.neutral)])
-    exact = HeldOut(models, strong.measured, None).densities(strong.target, [again])
-    own = strong.held_out.densities(strong.target, [fit])
-    found = strong.held_out.densities(strong.target, [fit], [moved])
+    (again,) = models.fit(strong.standard.target, [Task(models.submodel(fit.free), models.neutral)])
+    exact = HeldOut(models, strong.measured, None).densities(strong.standard.target, [again])
+    own = strong.held_out.densities(strong.standard.target, [fit])
+    found = strong.held_out.densities(strong.standard.target, [fit], [moved])
     # The other prior changes something, and that is what is found.
     assert np.max(np.abs(exact - own)) > 1e-3
     np.testing.assert_allclose(found, exact, atol=0.05 * np.max(np.abs(exact - own)))
