@@ -39,10 +39,10 @@ class _Group(eqx.Module):
     name: str = eqx.field(static=True)
     keys: tuple[str, ...] = eqx.field(static=True)
     columns: tuple[int, ...] = eqx.field(static=True)
-    numbers: Float[np.ndarray, "k a"]
-    scaling: Float[np.ndarray, "k s"]
-    mode: Float[np.ndarray, " k"]
-    highest: Float[np.ndarray, " k"]
+    numbers: Float[Array, "k a"]
+    scaling: Float[Array, "k s"]
+    mode: Float[Array, " k"]
+    highest: Float[Array, " k"]
 
     def of_each(self, function: Callable[[Any, Any, Array], Array], values: Float[Array, " k"]) -> Float[Array, " k"]:
         """A function of the distribution, of its map to the support, and of a value, for each prior."""
@@ -77,7 +77,7 @@ class PriorGroups(eqx.Module):
                 np.asarray([one[k] for k in own], dtype=float) for one in ([p.numbers for p in priors], scalings)
             )
             mode, highest = np.transpose([priors[k].mode for k in own])
-            groups.append(_Group(name, keys, tuple(own), numbers, scaling, mode, highest))
+            groups.append(_Group(name, keys, tuple(own), *jax.device_put((numbers, scaling, mode, highest))))
         self.groups = tuple(groups)
         self._order = tuple(np.argsort([k for own in columns.values() for k in own]).tolist())
 

@@ -12,7 +12,7 @@ time with the last one within rounding errors, which takes a quarter to a half o
 # pyright: reportUnknownMemberType=false
 
 from operator import itemgetter
-from typing import Any, ClassVar, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, cast, final
 
 import diffrax
 import equinox as eqx
@@ -43,6 +43,10 @@ class Progress(NamedTuple):
     state: State
     kept: dict[str, tuple[Scalar, ...]]
     channels: dict[str, Scalar]
+
+
+_Carry = tuple[Progress, Any]
+"""Values that travel, and the state of the solver."""
 
 
 @final
@@ -223,25 +227,30 @@ def integrate(
     names = (*of_each(system.measured, EQ_18), *quantities)
     begin: dict[str, tuple[Scalar, ...]] = {name: quantity(name).kept.start for name in names}
     start = Progress(still, begin, system.channels(still, sample, channels))
-    carry: tuple[Progress, Any] = jax.tree.map(jnp.asarray, (start, solver.init(terms, 0, 1, start, args)))
 
-    def step(number: Any, carry: tuple[Progress, Any]) -> tuple[Progress, Any]:
+    def array(leaf: Any) -> Array:
+        return jnp.asarray(leaf)
+
+    def step(number: Any, carry: _Carry) -> _Carry:
         progress, solver_state = carry
         progress, _, _, solver_state, _ = solver.step(terms, number, number + 1, progress, args, solver_state, False)
         return progress, solver_state
 
-    def next_sample(number: Any, carry: tuple[Any, dict[str, Array]]) -> tuple[Any, dict[str, Array]]:
+    def next_sample(number: Any, carry: tuple[_Carry, dict[str, Array]]) -> tuple[_Carry, dict[str, Array]]:
         inner, histories = carry
-        if every > 1:
-            inner = jax.lax.fori_loop(0, every, lambda k, inner: step(every * number + k, inner), inner)
-        else:
-            inner = step(number, inner)
+
+        def within(k: Any, inner: _Carry) -> _Carry:
+            return step(every * number + k, inner)
+
+        inner = cast(_Carry, jax.lax.fori_loop(0, every, within, inner)) if every > 1 else step(number, inner)
         return inner, {name: kept.at[number + 1].set(inner[0].channels[name]) for name, kept in histories.items()}
 
+    carry: _Carry = jax.tree.map(array, (start, solver.init(terms, 0, 1, start, args)))
     samples = steps // every
     histories = {name: jnp.zeros(samples + 1).at[0].set(value) for name, value in carry[0].channels.items()}
     made = samples if stop is None else -(-stop // every)
-    (end, _), histories = jax.lax.fori_loop(0, made, next_sample, (carry, histories))
+    found = cast(tuple[_Carry, dict[str, Array]], jax.lax.fori_loop(0, made, next_sample, (carry, histories)))
+    (end, _), histories = found
     if stop is not None:
         last = jnp.minimum(jnp.arange(samples + 1), stop // every)
         histories = {name: values[last] for name, values in histories.items()}
