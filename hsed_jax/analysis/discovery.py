@@ -179,7 +179,7 @@ class _Beside:
         curve = Curve(place, reaches, best.coefficients, best.covariance)
         self._watch.report("formulas")
         tried = formulas(place, reaches, best.coefficients, best.normal_equations[0], _FORMULAS)
-        fits = FormulaFits(tried, reaches, self._problem, self._search.standard.target, self._law())
+        fits = FormulaFits(tried, reaches, self._problem, self._search.target, self._law())
         if (chosen := fits.best) is not None and chosen.log_evidence > best.log_evidence - _WORSE:
             formula, after = chosen.formula, fits.held_out_error(chosen)
             shown = replace(
