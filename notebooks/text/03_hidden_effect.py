@@ -91,7 +91,7 @@ ax = hx.plot.ranking(diagnosis)
 
 # %% [markdown]
 # The named effect is bold. Pinching lowers the error to the noise, too. However, its score is 49 nats lower, and its
-# probability is only 0.002. (If the diagnosis names no effect, the notebook ends here.)
+# probability is only 0.001. (If the diagnosis names no effect, the notebook ends here.)
 #
 # The brackets after an effect contain its form. The next cell prints the probabilities of the compared forms. In all three
 # forms, the stiffness falls with the absorbed energy. The linear form has the largest probability, but the measurements do
