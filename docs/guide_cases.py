@@ -24,7 +24,7 @@ STEPS = 20  # of an integration, between two samples
 PICTURES = {
     "column": ("before_after", "cycles"),
     "frame": ("ranking", "before_after"),
-    "rig": ("ranking", "parameters_before_after", "fig6_exploration"),
+    "rig": ("ranking", "fig6_exploration"),
     "coupons": ("population_bar", "before_after"),
 }
 IMAGES = Path(__file__).resolve().parent / "images" / "guides"
