@@ -11,6 +11,7 @@ from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.prior_groups import PriorGroups
 from hsed_jax.inference.priors import Prior
+from hsed_jax.programs import _spelled
 
 PRIORS = [
     Prior("lognormal", [1.0, 0.5]),
@@ -87,6 +88,9 @@ def test_posteriors_with_other_numbers_share_their_programs(posteriors, kind):
     assert [np.shape(a) for a in arrays[0]] == [np.shape(a) for a in arrays[1]]
     assert not all(np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
     assert one.priors != other.priors
+    # The name of a stored program.
+    spelled = [_spelled(jax.tree.map(lambda _: None, posterior._known)) for posterior in (one, other)]
+    assert spelled[0] == spelled[1]
 
 
 USUAL = [

@@ -77,10 +77,7 @@ def distribution_of(name: str, arguments: Any) -> dist.Distribution:
     if not all(in_range(number) for number in numbers):
         raise UserError(f"{name}: {shown(arguments)} must be finite numbers of sensible size")
     try:
-        if by_name:
-            made = kind(**dict(zip(map(str, arguments), numbers, strict=True)), validate_args=True)
-        else:
-            made = kind(*numbers, validate_args=True)
+        made = member(name, tuple(map(str, arguments)) if by_name else (), numbers, validate_args=True)
     except TypeError:
         raise wrong from None
     except ValueError as error:
@@ -97,10 +94,10 @@ def distribution_of(name: str, arguments: Any) -> dist.Distribution:
     return made
 
 
-def member(name: str, keys: tuple[str, ...], numbers: Sequence[Any]) -> dist.Distribution:
+def member(name: str, keys: tuple[str, ...], numbers: Sequence[Any], **options: Any) -> dist.Distribution:
     """The distribution of a name and of numbers, which may be traced: the arguments of these names, or in numpyro's order."""
     kind = _kind(name)
-    return kind(**dict(zip(keys, numbers, strict=True))) if keys else kind(*numbers)
+    return kind(**dict(zip(keys, numbers, strict=True)), **options) if keys else kind(*numbers, **options)
 
 
 def _kind(name: str) -> Any:
