@@ -15,25 +15,22 @@ _REACH, _DRIVERS = 8, 2
 # Number of starts of each fit.
 _STARTS = 2
 
+PredictedGains = Mapping[str, Mapping[str, list[PredictedGain]]]
+"""Predicted gains by effect, the effect with the largest one first, and by driver."""
+
 Proposals = Mapping[Choice, list[np.ndarray]]
 """Choices to fit, and the starts of their fits."""
 
 
-def beside(
-    models: NestedModels, target: Target, fit: FitState, top: Choice, effects: Mapping[str, Forms], is_best: bool
-) -> Proposals:
+def beside(predicted_gains: PredictedGains, top: Choice, is_best: bool) -> Proposals:
     """Choices with one effect beside a fitted model: the effects with the largest predicted gains, with their best drivers.
 
     Arguments:
-        models: of the fit.
-        target: the data of the fit.
-        fit: the fit state of the model.
+        predicted_gains: of the candidates beside the model.
         top: the effects of the model, in their forms.
-        effects: the candidates.
         is_best: whether the model is the best one so far.  Beside another model, a part of the best one, fewer effects are
             proposed, because a set with an exchanged effect is examined again when it is the best one.
     """
-    predicted_gains = predicted_gains_of(models, target, fit, effects)
     ranked = list(predicted_gains)
     reach, starts, drivers = (_REACH, _STARTS, _DRIVERS) if is_best else (_REACH // 2, 1, 1)
     chosen: dict[Choice, list[np.ndarray]] = {}
@@ -75,8 +72,18 @@ def pairs(
 
 
 def predicted_gains_of(
-    models: NestedModels, target: Target, fit: FitState, effects: Mapping[str, Forms]
-) -> dict[str, dict[str, list[PredictedGain]]]:
-    """The predicted gains of each effect, by driver; the effect with the largest gain is the first one."""
-    found = Linearisation(models, target, fit, telling(target, fit)).of_places(effects)
+    models: NestedModels, target: Target, fit: FitState, effects: Mapping[str, Forms], is_explained: bool = False
+) -> PredictedGains:
+    """The predicted gains of candidates beside a fitted model.
+
+    Arguments:
+        models: of the fit.
+        target: the data of the fit.
+        fit: the fit state of the model.
+        effects: the candidates.
+        is_explained: whether the noise explains the residual of the fit: then no experiment tells more than another one, and all
+            are simulated.
+    """
+    rows = None if is_explained else telling(target, fit)
+    found = Linearisation(models, target, fit, rows).of_places(effects)
     return dict(sorted(found.items(), key=lambda one: -max(best.gain for best, *_ in one[1].values())))

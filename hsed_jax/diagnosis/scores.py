@@ -3,14 +3,16 @@ r"""Predicted gains of candidates before they are fitted, from a linearisation o
 Let r be the residual, and M the projection onto what remains after the fitted parameters have adjusted to first order.  A
 candidate that differs from the fit by d explains
 
-$$\max_{0\le s\le 1}\; s\,d^\top M r - \tfrac12 s^2\,d^\top M d$$
+$$\max_s\; s\,d^\top M r - \tfrac12 s^2\,d^\top M d$$
 
-nats of the residual.  At a finite size, d is the simulated influence of the effect, which may be nonlinear or without a
-derivative at its neutral value (a gap, a window, an exponential).  The factor s gives the size from which a fit starts.
+nats of the residual.  The factor s gives the size from which a fit starts.  At a finite size, d is the simulated influence of the
+effect, which may be nonlinear or without a derivative at its neutral value (a gap, a window, an exponential), and s is at most
+one.  At a vanishing size, d is a derivative, and s extends over the prior of the amplitude.  Both are tried: if the fitted
+parameters adjust to most of a large effect, their first order is not enough for a finite size, and its small rest is hidden.
 
-At a vanishing size this is Rao's score test (1948).  A test of the size of the residual detects any error, and spreads its power
-over all samples.  A score test examines one direction only, and detects an effect there that is a hundred times smaller.
-With K candidates, the smallest of K p-values counts as $1-(1-p)^K$ (Šidák 1967).
+The maximum at a vanishing size is half of the statistic of Rao's score test (1948).  A test of the size of the residual detects
+any error, and spreads its power over all samples.  A score test examines one direction only, and detects an effect there that is
+a hundred times smaller.  With K candidates, the smallest of K p-values counts as $1-(1-p)^K$ (Šidák 1967).
 """
 
 # SciPy comes without types.
@@ -46,11 +48,13 @@ class Trial(NamedTuple):
         submodel: the model with the candidate.
         x: the fit, with the candidate at some size, (P,).
         amplitude: index of the coordinate of this size.
+        factors: the least and the largest multiple of this size to which the linearisation extends.
     """
 
     submodel: Submodel
     x: Float[np.ndarray, " P"]
     amplitude: int
+    factors: tuple[float, float] = (0.0, 1.0)
 
 
 class PredictedGain(NamedTuple):
@@ -109,9 +113,9 @@ class Linearisation:
         found: list[PredictedGain] = []
         for trial, free in zip(trials, own, strict=True):
             along, power = float(free @ self._residual), float(free @ free)
-            size = float(np.clip(along / power, 0.0, 1.0)) if power > 0 else 0.0
+            size = float(np.clip(along / power, *trial.factors)) if power > 0 else 0.0
             start, k = trial.x.copy(), trial.amplitude
-            start[k] = self._models.neutral[k] + max(size, _LEAST) * (trial.x[k] - self._models.neutral[k])
+            start[k] = self._models.neutral[k] + (size if abs(size) > _LEAST else _LEAST) * (trial.x[k] - self._models.neutral[k])
             found.append(PredictedGain(size * along - 0.5 * size**2 * power, start))
         return found
 
@@ -121,15 +125,25 @@ class Linearisation:
         for effect, forms in effects.items():
             for label in of_simplest_shape(forms):
                 form = forms[label]
+                submodel, size = self._fit.submodel.beside(form.columns, form.held), int(form.columns[0])
                 for x in self._models.box.quantiles(form.columns, spread(len(form.columns), _TRIALS)):
                     start = self._fit.x.copy()
                     start[form.columns] = x
-                    submodel = self._fit.submodel.beside(form.columns, form.held)
-                    trials.append((effect, label, Trial(submodel, start, int(form.columns[0]))))
+                    trials.append((effect, label, Trial(submodel, start, size)))
+                trials.append((effect, label, self._small(submodel, form.columns)))
         found: dict[str, dict[str, list[PredictedGain]]] = {}
         for (effect, label, _), gain in zip(trials, self.predicted_gains([t for *_, t in trials]), strict=True):
             found.setdefault(effect, {}).setdefault(label, []).append(gain)
         return {e: {f: sorted(ps, key=lambda p: -p.gain) for f, ps in forms.items()} for e, forms in found.items()}
+
+    def _small(self, submodel: Submodel, columns: Int[np.ndarray, " q"]) -> Trial:
+        """A form at a vanishing size, with its other parameters at their medians; its size extends over most of its prior."""
+        start, size = self._fit.x.copy(), int(columns[0])
+        start[columns] = self._models.box.quantiles(columns, np.full((1, len(columns)), 0.5))[0]
+        start[size] = neutral = self._models.neutral[size]
+        start, step = self._moved(start, size)
+        ends = (self._models.box.quantiles(columns[:1], np.asarray([[0.1], [0.9]])).ravel() - neutral) / step
+        return Trial(submodel, start, size, (min(*ends, 0.0), max(*ends, 0.0)))
 
     def across(self, points: Sequence[tuple[np.ndarray, Submodel]]) -> tuple[np.ndarray, np.ndarray]:
         """Standardised differences of models at points from the fit (zero if a simulation diverges), and the part of them that

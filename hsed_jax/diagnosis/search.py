@@ -23,7 +23,7 @@ from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of
 from hsed_jax.diagnosis.measured import Measured, Standard
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
-from hsed_jax.diagnosis.propose import beside, pairs
+from hsed_jax.diagnosis.propose import beside, pairs, predicted_gains_of
 from hsed_jax.diagnosis.score import MATERIAL, ODDS, Gain, HeldOut, material, weights_of
 from hsed_jax.diagnosis.scores import Linearisation, score_p_value
 from hsed_jax.errors import UserError
@@ -265,7 +265,8 @@ class Search:
             if base in self._fits and base not in self._tried:
                 self._tried.add(base)
                 fit, effects = self._fits.best(base), {e: self.effects[e] for e in others}
-                starts |= beside(self.models, target, fit, self._fits.top(base), effects, base == self.best)
+                gains = predicted_gains_of(self.models, target, fit, effects, self._is_explained(fit))
+                starts |= beside(gains, self._fits.top(base), base == self.best)
         self._fits.fit(target, starts, starts)
 
     def _fit_pairs(self) -> None:
