@@ -81,9 +81,9 @@ def predicted_gains_of(
         target: the data of the fit.
         fit: the fit state of the model.
         effects: the candidates.
-        is_explained: whether the noise explains the residual of the fit: then no experiment tells more than another one, and all
-            are simulated.
+        is_explained: whether the noise explains the residual of the fit: then the effects are small, no experiment tells more
+            than another one, and all are simulated.
     """
     rows = None if is_explained else telling(target, fit)
-    found = Linearisation(models, target, fit, rows).of_places(effects)
+    found = Linearisation(models, target, fit, rows).of_places(effects, is_explained)
     return dict(sorted(found.items(), key=lambda one: -max(best.gain for best, *_ in one[1].values())))

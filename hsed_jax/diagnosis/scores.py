@@ -7,8 +7,9 @@ $$\max_s\; s\,d^\top M r - \tfrac12 s^2\,d^\top M d$$
 
 nats of the residual.  The factor s gives the size from which a fit starts.  At a finite size, d is the simulated influence of the
 effect, which may be nonlinear or without a derivative at its neutral value (a gap, a window, an exponential), and s is at most
-one.  At a vanishing size, d is a derivative, and s extends over the prior of the amplitude.  Both are tried: if the fitted
-parameters adjust to most of a large effect, their first order is not enough for a finite size, and its small rest is hidden.
+one.  At a vanishing size, d is a derivative, and s extends over the prior of the amplitude.  If the noise explains the residual,
+every effect is small, and both sizes are tried: where the fitted parameters adjust to most of a finite effect, their first order
+is not enough, and the derivative shows the rest.
 
 The maximum at a vanishing size is half of the statistic of Rao's score test (1948).  A test of the size of the residual detects
 any error, and spreads its power over all samples.  A score test examines one direction only, and detects an effect there that is
@@ -37,8 +38,8 @@ _STEP = 1e-3
 _LEAST = 0.05
 # Number of trials of a form per parameter, and for one more: a smaller number may not find the time of a step in a record.
 _TRIALS = 4
-# The experiments with this share of the squared residual of a fit select the candidates to fit.
-_HALF = 0.5
+# The experiments with this share of the squared residual of a fit, and with this number of values, select the candidates to fit.
+_HALF, _VALUES = 0.5, 30
 
 
 class Trial(NamedTuple):
@@ -114,13 +115,19 @@ class Linearisation:
         for trial, free in zip(trials, own, strict=True):
             along, power = float(free @ self._residual), float(free @ free)
             size = float(np.clip(along / power, *trial.factors)) if power > 0 else 0.0
-            start, k = trial.x.copy(), trial.amplitude
-            start[k] = self._models.neutral[k] + (size if abs(size) > _LEAST else _LEAST) * (trial.x[k] - self._models.neutral[k])
+            k, first = trial.amplitude, size if abs(size) > _LEAST else _LEAST
+            start = trial.x.copy()
+            start[k] = self._models.neutral[k] + first * (trial.x[k] - self._models.neutral[k])
             found.append(PredictedGain(size * along - 0.5 * size**2 * power, start))
         return found
 
-    def of_places(self, effects: Mapping[str, Forms]) -> dict[str, dict[str, list[PredictedGain]]]:
-        """Predicted gains by effect and driver, in the shape of the default form, at several sizes, the largest first."""
+    def of_places(self, effects: Mapping[str, Forms], are_small: bool) -> dict[str, dict[str, list[PredictedGain]]]:
+        """Predicted gains by effect and driver, in the shape of the default form, at several sizes, the largest first.
+
+        Arguments:
+            effects: the candidates.
+            are_small: whether the effects may be small, so that a vanishing size is tried as well.
+        """
         trials: list[tuple[str, str, Trial]] = []
         for effect, forms in effects.items():
             for label in of_simplest_shape(forms):
@@ -130,7 +137,7 @@ class Linearisation:
                     start = self._fit.x.copy()
                     start[form.columns] = x
                     trials.append((effect, label, Trial(submodel, start, size)))
-                trials.append((effect, label, self._small(submodel, form.columns)))
+                trials += [(effect, label, self._small(submodel, form.columns))] if are_small else []
         found: dict[str, dict[str, list[PredictedGain]]] = {}
         for (effect, label, _), gain in zip(trials, self.predicted_gains([t for *_, t in trials]), strict=True):
             found.setdefault(effect, {}).setdefault(label, []).append(gain)
@@ -181,12 +188,14 @@ class Linearisation:
 
 
 def telling(target: Target, fit: FitState) -> Int[np.ndarray, " r"]:
-    """The experiments with the largest residuals of a fit: the smallest number with half of the squared residual."""
+    """The experiments with the largest residuals of a fit: the smallest number with half of the squared residual and enough
+    values to tell many candidates apart."""
     rows = target.rows(fit.use)
     left = np.sum(target.standardised(fit.use, rows, (fit.predicted - target.values)[rows]) ** 2, axis=-1)
     order = np.argsort(-left)
-    enough = int(np.searchsorted(np.cumsum(left[order]), _HALF * left.sum())) + 1
-    return np.sort(rows[order[:enough]])
+    values = np.count_nonzero(target.weights[fit.use][rows[order]], axis=-1)
+    is_enough = (np.cumsum(left[order]) >= _HALF * left.sum()) & (np.cumsum(values) >= _VALUES)
+    return np.sort(rows[order[: int(np.argmax(is_enough)) + 1 if is_enough.any() else len(rows)]])
 
 
 def score_p_value(statistic: float, candidates: int = 1) -> float:
