@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from hidden.campaigns import TooSmall, make
 from hidden.cases import Case, draw
-from hidden.catalogue import EFFECTS, FORMULAS, KINDS, applicable
+from hidden.catalogue import EFFECTS, FAMILIES, FORMULAS, KINDS, REAL, applicable
 from hidden.mixtures import drawn, mixable
 from hidden.opensees import is_available
 from hidden.probed import forces
@@ -59,7 +59,7 @@ _NOISE = 0.05
 
 def plan() -> dict[str, list[Case]]:
     """The cases, by group; every n-th of a group is spread evenly over kinds of campaign, effects and their formulas."""
-    groups = _same_formula() | _other_formulas() | _mixed_formulas() | _controls()
+    groups = _same_formula() | _other_formulas() | _mixed_formulas() | _real_specimens() | _controls()
     if is_available():
         groups["OpenSees materials, medium"] = [
             Case("component", ((effect, formula),), MEDIUM, 0.02, 6, 4, 700 + number)
@@ -127,6 +127,18 @@ def _mixed_formulas() -> dict[str, list[Case]]:
                             f"mixed formulas, {label}",
                             Case(kind, hidden, size, noise, *_EXPERIMENTS[kind], seed),
                         )
+    return groups
+
+
+def _real_specimens() -> dict[str, list[Case]]:
+    """What tests of real specimens show, in every formula."""
+    groups: dict[str, list[Case]] = {}
+    for kind in ("shaken", "component"):
+        for number, (effect, formula) in enumerate(key for key in FORMULAS if key[0] in REAL):
+            for label, size, noise in _SIZED:
+                seed = 20000 + 100 * number + (1000 if label == "strong" else 0) + (50 if kind == "shaken" else 0)
+                case = Case(kind, ((effect, formula),), size, noise, *_EXPERIMENTS[kind], seed)
+                _add(groups, f"real specimens, {label}", case)
     return groups
 
 
@@ -303,7 +315,7 @@ def score(found: dict[str, Any], truth: dict[str, Any]) -> dict[str, Any]:
         "named": named,
         "verdict": found["verdict"],
         "first": bool(named) and named[0] in names,
-        "family": bool(named) and families[named[0]] in {EFFECTS[name] for name in names},
+        "family": bool(named) and families[named[0]] in {FAMILIES[name] for name in names},
         "exact": sorted(named) == sorted(names),
         # Of a pair one is named, and what the other does a refit absorbs down to the noise.
         "absorbed": bool(named) and set(named) < set(names) and (found["p_value_after"] or 0.0) >= _NOISE,

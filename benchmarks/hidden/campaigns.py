@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from . import opensees
 from .cases import Case, Hidden, Measured, Plan, draw, scales_of
-from .catalogue import EFFECTS
+from .catalogue import FAMILIES
 from .sensors import Program, Reading
 from .specimen import DURATION, Frame, Scales, Specimen, pull, shake
 
@@ -272,7 +272,7 @@ def _write_truth(case, plan, deltas, reached, together, used, observed, measured
             # What the amplitude is in units of the measured campaign's own scales, which the package sees.
             physical[name]["dimensionless"] = value * (one(used) / one(observed) if one else 1.0)
         effects.append(
-            {"effect": item.effect, "family": EFFECTS[item.effect], "formula": item.name, "place": item.formula.place}
+            {"effect": item.effect, "family": FAMILIES[item.effect], "formula": item.name, "place": item.formula.place}
             | {"change": alone, "parameters": physical, "description": _described(item)}
         )
     content = {

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import qmc
 
-from . import degrading as degrading  # these five register their formulas
+from . import degrading as degrading  # these six register their formulas
 from . import effects as effects
 from . import forces as forces
 from . import loops as loops
+from . import real as real
 from . import sensors as sensors
-from .catalogue import EFFECTS, KINDS, Formula, applicable, formula
+from .catalogue import FAMILIES, KINDS, Formula, applicable, formula
 from .mixtures import mixture
 from .specimen import Scales
 
@@ -108,8 +109,8 @@ def draw(case: Case) -> Plan:
     ]
     hidden = []
     for effect, name in case.effects:
-        if effect not in EFFECTS:
-            raise ValueError(f"no effect {effect!r}; effects are {', '.join(EFFECTS)}")
+        if effect not in FAMILIES:
+            raise ValueError(f"no effect {effect!r}; effects are {', '.join(FAMILIES)}")
         if not applicable(effect, case.kind):
             raise ValueError(f"{effect!r} cannot show in a campaign of kind {case.kind!r}")
         chosen = mixture(effect, name) if " + " in name else formula(effect, name)
