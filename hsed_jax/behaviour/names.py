@@ -59,8 +59,16 @@ _HISTORY = ("absorbed_energy", "path", "largest_elongation", "reversals")
 _KINDS = (
     {"hardening", "cubic_stiffness", "quadratic_stiffness", "contact_stiffening"},
     {"coulomb_friction", "stribeck_friction", "viscous_damping", "power_damping", "quadratic_damping"},
-    {"stiffness_degradation", "pinching", "slip", "gap", "strength_degradation", "isotropic_hardening", "asymmetry",
-     "buckling"},
+    {
+        "stiffness_degradation",
+        "pinching",
+        "slip",
+        "gap",
+        "strength_degradation",
+        "isotropic_hardening",
+        "asymmetry",
+        "buckling",
+    },
 )
 """Effects whose names may be exchanged: forces of the elongation, forces of the rate, and changes of the hysteresis."""
 
