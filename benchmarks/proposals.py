@@ -72,7 +72,7 @@ def row_of(case: Case) -> dict[str, Any] | None:
         search.start()
         begin = time.process_time()
         fit = search.model(()).fit
-        order = list(predicted_gains_of(search.models, search.standard.target, fit, search.effects))
+        order = list(predicted_gains_of(search.models, search.standard.target, fit, search.effects, explained(fit)))
     return {
         "hidden": [f"{effect}: {formula}" for effect, formula in case.effects],
         "kind": case.kind,

@@ -2,23 +2,28 @@
 
 import numpy as np
 import pytest
-from builders.dictionary import EFFECTS, FUNCTIONS, SIGMA, J, K, N, data_of, search_of
+from builders.dictionary import EFFECTS, FUNCTIONS, SIGMA, Dictionary, J, K, N, data_of, search_of
 
 from hsed_jax.diagnosis.propose import predicted_gains_of
 from hsed_jax.diagnosis.scores import telling
 
 
-class Absorbing:
+class Absorbing(Dictionary):
     """The first effect is the first function of the law, and a little of its own; their sum acts more than in proportion."""
-
-    def __init__(self, functions):
-        self.functions = functions
 
     def __call__(self, thetas, experiments, samples=None):
         total = thetas[:, 0] + thetas[:, 2]
         amplitudes = np.concatenate([total[:, None], thetas[:, 1:2], 0.3 * thetas[:, 2:3], thetas[:, 3:]], axis=1)
         amplitudes[:, -1] += 5 * (total - 2.4) ** 2
         return np.einsum("lk,klj->lj", amplitudes, self.functions[:, experiments]), np.ones(len(thetas))
+
+
+class Failing(Dictionary):
+    """No simulation with one of the effects succeeds."""
+
+    def __call__(self, thetas, experiments, samples=None):
+        outputs, ok = super().__call__(thetas, experiments, samples)
+        return outputs, ok * (thetas[:, 4] == 0)
 
 
 def gains_of(search, is_explained):
@@ -35,13 +40,12 @@ def test_the_gain_at_a_vanishing_size_is_half_of_raos_statistic():
         assert gains[effect] == pytest.approx(0.5 * search.scores[effect], rel=1e-3, abs=1e-6), effect
 
 
-def test_an_effect_that_the_law_nearly_absorbs_is_proposed_first_where_the_noise_explains_the_residual(monkeypatch):
+def test_an_effect_that_the_law_nearly_absorbs_is_proposed_first_where_the_noise_explains_the_residual():
     theta = np.zeros((1, 2 + K))
     theta[0, :3] = 1.5, -0.7, 0.9
     exact = np.concatenate([Absorbing(FUNCTIONS)(theta, np.asarray([n]))[0] for n in range(N)])
     values = exact + SIGMA * np.random.default_rng(5).standard_normal((N, J))
-    monkeypatch.setattr("builders.dictionary.Dictionary", Absorbing)
-    search = search_of(values)
+    search = search_of(values, batch=Absorbing)
     gains = gains_of(search, is_explained=True)
     assert (
         max(gains, key=lambda effect: gains[effect]) == "effect_0" == max(search.scores, key=search.scores.__getitem__)
@@ -60,3 +64,10 @@ def test_the_experiments_that_propose_have_half_of_the_residual_and_enough_value
     few[:, :3] = True
     search = search_of(values, used=few)
     assert telling(search.standard.target, search.model(()).fit).tolist() == list(range(N))
+
+
+def test_an_effect_whose_simulations_fail_is_not_among_the_models():
+    search = search_of(data_of(4, effect_3=0.5), batch=Failing)
+    search._fits.fit(search.standard.target, [frozenset({(effect, "")}) for effect in ("effect_2", "effect_3")])
+    assert search.model({"effect_2"}).fit.cost == np.inf
+    assert [set(model.effects) for model in search.all()] == [{"effect_3"}, set()]

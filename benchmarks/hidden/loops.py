@@ -9,7 +9,8 @@ from .catalogue import add
 from .degrading import COUNTED, energy, largest, reversals, sigmoid, this_side, work
 
 
-def _ratio(x):
+def ratio(x):
+    """Hysteretic force over the ultimate one."""
     return np.abs(x.z) / x.strength
 
 
@@ -19,20 +20,20 @@ def _ratio(x):
 def _pinch_with_reversals(x, s, p):
     """h = 1 − δ N/(N + 2)/(1 + (r/w)²)."""
     count = reversals(x, s)
-    s.h = s.h * (1 - p["delta"] * count / (count + 2) / (1 + (_ratio(x) / p["width"]) ** 2))
+    s.h = s.h * (1 - p["delta"] * count / (count + 2) / (1 + (ratio(x) / p["width"]) ** 2))
 
 
 def _pinch_on_reloading(x, s, p):
     """Only while the force grows: h = 1 − δ d/(d + 0.3) exp(−r/w), from z = 0 on (over 2 % of z_u)."""
     severity = p["delta"] * largest(x) / (largest(x) + 0.3)
     growing = sigmoid(x.z * np.sign(x.v) / (0.01 * x.strength))
-    s.h = s.h * (1 - severity * growing * np.exp(-_ratio(x) / p["width"]))
+    s.h = s.h * (1 - severity * growing * np.exp(-ratio(x) / p["width"]))
 
 
 def _pinch_in_two_windows(x, s, p):
     """A narrow window that opens with hysteretic work, 0.6 sigmoid((x_h − 0.3)/0.06), and a wide one with d/(d + 0.3)."""
-    narrow = 0.6 * sigmoid((work(x) - 0.3) / 0.06) * np.exp(-((_ratio(x) / p["width"]) ** 2))
-    wide = 0.4 * largest(x) / (largest(x) + 0.3) * np.exp(-((_ratio(x) / (3 * p["width"])) ** 4))
+    narrow = 0.6 * sigmoid((work(x) - 0.3) / 0.06) * np.exp(-((ratio(x) / p["width"]) ** 2))
+    wide = 0.4 * largest(x) / (largest(x) + 0.3) * np.exp(-((ratio(x) / (3 * p["width"])) ** 4))
     s.h = s.h * (1 - p["delta"] * (narrow + wide))
 
 
@@ -54,14 +55,14 @@ def _slip_of_elongation_and_reversals(x, s, p):
 def _slip_of_each_side(x, s, p):
     """Slip of each side of its own, δ log(1 + 2 d±)/2, over a trapezium that falls off from w/2 to 3w/2."""
     length = p["delta"] * 0.5 * np.log1p(2 * this_side(x)) * x.scales.elongation
-    profile = np.clip(1.5 - _ratio(x) / p["width"], 0.0, 1.0)
+    profile = np.clip(1.5 - ratio(x) / p["width"], 0.0, 1.0)
     s.compliance = s.compliance + length * profile / (p["width"] * x.strength)
 
 
 def _slip_in_two_stages(x, s, p):
     """Little slip until d = 0.4, then much: δ (0.1 d + 1.5 max(d − 0.4, 0)), over a profile (1 − (r/2w)²)²."""
     length = p["delta"] * (0.1 * largest(x) + 1.5 * np.maximum(largest(x) - 0.4, 0.0)) * x.scales.elongation
-    profile = np.maximum(1 - (0.5 * _ratio(x) / p["width"]) ** 2, 0.0) ** 2
+    profile = np.maximum(1 - (0.5 * ratio(x) / p["width"]) ** 2, 0.0) ** 2
     s.compliance = s.compliance + length * profile / (p["width"] * x.strength)
 
 
@@ -99,20 +100,20 @@ add("asymmetry", "strength and some stiffness", _asymmetric_mostly_in_strength, 
 
 def _sharp_table(x, s, p):
     """φ/z_u goes from r to a table with kinks at (0.4, 0.05) and (0.75, 0.35) with the weight δ/(1 + δ)."""
-    r, weight = _ratio(x), p["delta"] / (1 + p["delta"])
+    r, weight = ratio(x), p["delta"] / (1 + p["delta"])
     kinked = np.maximum(np.maximum(0.125 * r, 0.05 + (r - 0.4) * 6 / 7), 0.35 + (r - 0.75) * 2.6)
     s.phi = x.strength * ((1 - weight) * r + weight * kinked)
 
 
 def _sharp_rational(x, s, p):
     """φ/z_u = r/(1 + δ (1 − r)), a hyperbola."""
-    r = _ratio(x)
+    r = ratio(x)
     s.phi = x.strength * r / (1 + p["delta"] * np.maximum(1 - r, 0.0))
 
 
 def _sharp_two_powers(x, s, p):
     """φ/z_u goes from r to (r³ + r⁸)/2 with the weight δ/(1 + δ)."""
-    r, weight = np.minimum(_ratio(x), 2.0), p["delta"] / (1 + p["delta"])
+    r, weight = np.minimum(ratio(x), 2.0), p["delta"] / (1 + p["delta"])
     s.phi = x.strength * ((1 - weight) * r + weight * 0.5 * (r**3 + r**8))
 
 
@@ -125,12 +126,12 @@ add("yield_sharpness", "two powers", _sharp_two_powers, 50.0)
 
 def _fuller_at_high_force(x, s, p):
     """γ = δ r/(0.5 + r)."""
-    s.gamma = s.gamma + p["delta"] * _ratio(x) / (0.5 + _ratio(x))
+    s.gamma = s.gamma + p["delta"] * ratio(x) / (0.5 + ratio(x))
 
 
 def _fuller_by_logistic(x, s, p):
     """γ = δ (0.3 + 0.7 sigmoid((r − 0.3)/0.08))."""
-    s.gamma = s.gamma + p["delta"] * (0.3 + 0.7 * sigmoid((_ratio(x) - 0.3) / 0.08))
+    s.gamma = s.gamma + p["delta"] * (0.3 + 0.7 * sigmoid((ratio(x) - 0.3) / 0.08))
 
 
 def _fuller_with_elongation(x, s, p):

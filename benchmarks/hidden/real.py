@@ -8,14 +8,11 @@ import numpy as np
 
 from .catalogue import FORCE, STIFFNESS, add
 from .degrading import largest
+from .loops import ratio
 
 
 def _elongation(x):
     return x.u / x.scales.elongation
-
-
-def _ratio(x):
-    return np.abs(x.z) / x.strength
 
 
 def _loads(x):
@@ -31,8 +28,8 @@ def _tendons(x, s, p):
     s.force = s.force + p["delta"] * x.strength * np.tanh(x.A * x.u / x.strength)
 
 
-def _tendons_that_stiffen(x, s, p):
-    """The share δ opens at once, at 0.6 z_u, and has a slope of A/25 when open."""
+def _tendons_with_a_slope(x, s, p):
+    """The share δ of the specimen is a tendon that opens its joint at 0.6 z_u; the open joint has a slope of A/25."""
     s.share = s.share * (1 - p["delta"])
     opens = 0.6 * x.strength / x.A
     held = np.clip(x.u, -opens, opens)
@@ -43,7 +40,7 @@ def _tendons_that_stiffen(x, s, p):
 
 
 def _two_sliders(x, s, p):
-    """Two elastic-plastic springs in parallel: δ F_c/u_c of 0.7 up to 0.15 δ F_c, and of 0.3 up to 0.20 δ F_c (two states)."""
+    """Two elastic-plastic springs in parallel, with slopes of 0.7 and 0.3 δ F_c/u_c and bounds of 0.15 and 0.20 δ F_c."""
     for row, (share, bound) in enumerate(((0.7, 0.15), (0.3, 0.20))):
         full = np.minimum((np.abs(x.w[row]) / bound) ** 8, 1.0) * (x.w[row] * x.v > 0)
         s.rates += [share * x.v / x.scales.elongation * (1 - full)]
@@ -64,7 +61,7 @@ def _towards(x, peak):
     at_peak = -x.strength * np.expm1(-peak * x.A / x.strength)
     way = np.maximum(peak - np.sign(x.v) * x.u, 0.02 * x.scales.elongation)
     slope = np.maximum(at_peak - np.abs(x.z), 0.0) / way
-    return np.minimum(slope / (x.A * np.maximum(1 - _ratio(x), 0.01)), 1.0)
+    return np.minimum(slope / (x.A * np.maximum(1 - ratio(x), 0.01)), 1.0)
 
 
 def _aims_at_the_peak(x, s, p):
@@ -114,13 +111,13 @@ def _softer_within(x, s, p):
 
 
 def _softer_by_energy(x, s, p):
-    """δ F_c x (1 − 0.8 tanh((d² − x²)/0.15)): by the elastic energy that is missing to the largest one."""
+    """δ F_c x (1 − 0.8 tanh((d² − x²)/0.15)): the elastic energy below the largest one decides."""
     missing = np.maximum(largest(x) ** 2 - _elongation(x) ** 2, 0.0)
     s.force = s.force + p["delta"] * x.scales.force * _elongation(x) * (1 - 0.8 * np.tanh(missing / 0.15))
 
 
 add("self_centering", "tendons", _tendons, 0.95)
-add("self_centering", "tendons that stiffen", _tendons_that_stiffen, 0.95)
+add("self_centering", "tendons with a slope", _tendons_with_a_slope, 0.95)
 add("kinematic_hardening", "two sliders", _two_sliders, 20.0, STIFFNESS, states=2)
 add("kinematic_hardening", "power of the plastic elongation", _power_of_the_plastic_elongation, 5.0, FORCE)
 add("peak_oriented", "peak of each side", _aims_at_the_peak, 1.0)

@@ -239,9 +239,7 @@ def _ranking(
             continue
         # The most probable model with the effect and no more effects than the best model, or the best model with this effect
         # added if that is more probable than the best model.
-        options = [
-            m for m in models if effect in m.effects and m.effects - {effect} in by_set and np.isfinite(m.fit.cost)
-        ]
+        options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
         if not options:
             continue  # it was not fitted, because its predicted gain is smaller than that of others, or its simulations fail
         instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options

@@ -194,8 +194,10 @@ def telling(target: Target, fit: FitState) -> Int[np.ndarray, " r"]:
     left = np.sum(target.standardised(fit.use, rows, (fit.predicted - target.values)[rows]) ** 2, axis=-1)
     order = np.argsort(-left)
     values = np.count_nonzero(target.weights[fit.use][rows[order]], axis=-1)
-    is_enough = (np.cumsum(left[order]) >= _HALF * left.sum()) & (np.cumsum(values) >= _VALUES)
-    return np.sort(rows[order[: int(np.argmax(is_enough)) + 1 if is_enough.any() else len(rows)]])
+    enough = max(
+        np.searchsorted(np.cumsum(left[order]), _HALF * left.sum()), np.searchsorted(np.cumsum(values), _VALUES)
+    )
+    return np.sort(rows[order[: int(enough) + 1]])
 
 
 def score_p_value(statistic: float, candidates: int = 1) -> float:

@@ -148,8 +148,8 @@ class Search:
         return self._fits.model(chosen, self._log_prior(len(chosen)))
 
     def all(self) -> list[Model]:
-        """The fitted models around the best set, the most probable first."""
-        found = [self.model(effects) for effects in self._around()]
+        """The fitted models around the best set whose simulations succeed, the most probable first."""
+        found = [m for m in map(self.model, self._around()) if math.isfinite(m.fit.cost)]
         return sorted(found, key=lambda m: (-m.probability, -m.log_posterior))
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:

@@ -52,8 +52,8 @@ def measured_of(values, used=None, declared=SIGMA):
     return Measured(values, used, np.full(values.shape, np.inf), groups, (error,), noise)
 
 
-def search_of(values, is_explained=lambda fit: False, functions=FUNCTIONS, **more):
-    models = NestedModels(Dictionary(functions), BOX, np.zeros(2 + K))
+def search_of(values, is_explained=lambda fit: False, functions=FUNCTIONS, batch=Dictionary, **more):
+    models = NestedModels(batch(functions), BOX, np.zeros(2 + K))
     search = Search(models, measured_of(values, **more), LAW, EFFECTS, is_explained)
     search.start()
     return search
