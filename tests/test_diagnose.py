@@ -253,6 +253,29 @@ def test_the_surprise_of_measurements_is_minus_the_log_density_with_errors_that_
     np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-9)
 
 
+@pytest.mark.parametrize("error", [0.0, 0.1, 0.5, 3.0])
+def test_the_error_of_a_model_is_not_underestimated_below_the_noise_and_found_above_it(error):
+    # A model that is off by `error` times the noise at every sample, and 200 measurements of the same specimen.
+    true, random = data_of(0), np.random.default_rng(4)
+    predicted = true + error * SIGMA * random.choice([-1.0, 1.0], true.shape)
+    found = []
+    for _ in range(200):
+        measured = measured_of(true + SIGMA * random.standard_normal(true.shape), declared=SIGMA)
+        size = np.sqrt(np.mean(measured.values**2))
+        standard = measured.standard(predicted, np.ones((1, N, J), dtype=bool))._replace(worth=np.ones(1))
+        found.append(measured._replace(noise=SIGMA / size).model_error(predicted, standard) * size / SIGMA)
+    assert np.mean(1.645 * np.asarray(found) >= error) >= 0.9
+    assert np.mean(found) <= max(1.1 * error, 2 * (2 / true.size) ** 0.25)
+
+
+def test_fewer_effective_samples_hide_a_larger_error_of_a_model():
+    measured = measured_of(data_of(0), declared=SIGMA)._replace(noise=0.1)
+    standard = measured.standard(measured.values, np.ones((1, N, J), dtype=bool))
+    few, many = (measured.model_error(measured.values, standard._replace(worth=np.array([w]))) for w in (0.0625, 1.0))
+    assert few == pytest.approx(2 * many)
+    assert many == pytest.approx(0.1 * (2 / (N * J)) ** 0.25)
+
+
 def test_two_effects_are_not_given_up_for_one_with_more_parameters_that_predicts_as_well():
     # effect_1 has a second form, which does what effect_0 does, too, and has two parameters for nothing.
     functions = FUNCTIONS.copy()

@@ -138,7 +138,11 @@ def diagnose(
         notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
         averaged=average,
         explanations=_explanations(search, models, best, called),
-        behaviour=Behaviours() if probe is None else probe.behaviours(none, best, sampled[best.effects]),
+        behaviour=Behaviours()
+        if probe is None
+        else probe.behaviours(
+            none, best, sampled[best.effects], problem.train.model_error(best.fit.predicted, search.standard)
+        ),
         prior_widths=widths,
     )
 

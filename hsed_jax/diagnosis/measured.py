@@ -107,9 +107,30 @@ class Measured(NamedTuple):
         """
         left = self.left(predicted)
         errors = np.fmax(self.declared, left)
-        counts = standard.worth * np.asarray([int(self.used[:, self.groups == g].sum()) for g in range(len(errors))])
+        counts = self._counts(standard)
         share = max(1 - parameters / counts.sum(), 0.0)
         return float(np.sum(counts * (share * np.log(errors / standard.errors) + 0.5 * (left / errors) ** 2)))
+
+    def model_error(self, predicted: np.ndarray, standard: "Standard") -> float:
+        r"""The error of a model itself, relative to the measurements: what is left beyond the noise, and what the noise may hide.
+
+        With the normalised error E of the predictions, the noise floor s, and the effective number n of samples, it is
+
+        $$e^2 = \max(E^2 - s^2,\,0) + s^2\sqrt{2/n}.$$
+
+        The last term is the standard deviation of the mean square of the noise: a smaller error of the model has no visible
+        effect on the residual.
+
+        Arguments:
+            predicted: (n, J).
+            standard: the effective numbers of samples.
+        """
+        left, noise = self.error(predicted) ** 2, self.noise**2
+        return float(np.sqrt(max(left - noise, 0.0) + noise * np.sqrt(2 / max(self._counts(standard).sum(), 1.0))))
+
+    def _counts(self, standard: "Standard") -> Float[np.ndarray, " G"]:
+        """The effective number of samples of each output."""
+        return standard.worth * np.asarray([int(self.used[:, self.groups == g].sum()) for g in range(len(self.errors))])
 
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
         """σ = s·c of predictions, SI; one where there is no measurement."""

@@ -1,12 +1,17 @@
 """Numerical experiments on fitted models: the behaviour of each effect, the names of the effects by this behaviour, and the
 behaviour of the specimens in engineering quantities."""
 
+# SciPy comes without types.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import ndtri
 
 from hsed_jax.behaviour.contributions import Contribution, contribution, dependence
 from hsed_jax.behaviour.findings import QUANTITIES, Behaviour, Behaviours, ProbedCurve, Value, told
@@ -72,31 +77,43 @@ class Probe(NamedTuple):
             found |= self._traits_in(model, element)
         return found
 
-    def behaviours(self, plain: Model, best: Model, sampled: Sampled) -> Behaviours:
+    def behaviours(self, plain: Model, best: Model, sampled: Sampled, model_error: float) -> Behaviours:
         """The behaviour of the specimens in the best model, from the virgin specimen to the end of the test.
+
+        Intervals hold the uncertainty of the parameters and the error of the model. The latter is the same along the whole test,
+        so that it does not affect whether a quantity changes.
 
         Arguments:
             plain: the first model (without effects).
             best: the model with the named effects.
             sampled: sample of the posterior of the best model.
+            model_error: standard deviation of the error of the best model, relative to the force.
         """
         changes: list[Behaviour] = []
         steady: dict[str, float] = {}
         curves: dict[str, ProbedCurve] = {}
         draws = self._drawn(best, sampled)
+        random = np.random.default_rng(self.problem.seed)
         for element in self.simulator.elements:
             before, after = self._along(plain, element, [self.fitted(plain)]), self._along(best, element, draws)
             if before is None or after is None:
                 continue
+            strength = float(np.mean(np.abs(after["strength+"])))
+            sizes = {"play": self.visited.elongation, "rate_force": strength}
+            after = {
+                name: values
+                + model_error * _size(name, sizes, values.mean(axis=0)) * _normal(len(values), random)[:, None]
+                for name, values in after.items()
+            }
             for name, values in after.items():
                 low, high = np.quantile(values, [0.05, 0.95], axis=0)
                 curves[named(element.name, name)] = ProbedCurve(before[name][0], values.mean(axis=0), low, high)
-            strength = float(np.mean(np.abs(after["strength+"])))
-            sizes = {"play": self.visited.elongation, "rate_force": strength}
             own = _both_sides([self._change(name, values, sizes, element) for name, values in after.items()])
             drivers = self._drivers(best, element) if own else {}
             own = [replace(one, drivers=drivers.get(_read(one), {})) for one in own]
-            own += self._added(best, element, draws[: _DRAWS // 2])
+            own += self._added(
+                best, element, draws[: _DRAWS // 2], model_error * strength * _normal(_DRAWS // 2, random)
+            )
             own = own or self._apart(before, after, element)
             changes += [replace(one, sentence=told(one, self.problem.pair)) for one in own]
             said = {one.quantity for one in own}
@@ -139,7 +156,7 @@ class Probe(NamedTuple):
         quantity, side = name.rstrip("+-"), name[-1]
         first, last = values[:, 0], values[:, -1]
         unit = QUANTITIES[quantity][1]
-        scale = sizes.get(quantity, max(abs(first.mean()), abs(last.mean())) if unit != "1" else 1.0)
+        scale = np.max(_size(name, sizes, values[:, [0, -1]].mean(axis=0)))
         low, high = np.quantile(last - first, [0.05, 0.95])
         # The 90 % interval of the change is on one side of zero, and the mean change has a practical size.
         if not (low * high > 0 and abs(np.mean(last - first)) > PRACTICAL * scale):
@@ -171,8 +188,15 @@ class Probe(NamedTuple):
                 )
         return [one for _, one in sorted(found, key=lambda one: -one[0])]
 
-    def _added(self, model: Model, element: Element, draws: Drawn) -> list[Behaviour]:
-        """Forces that effects add and that depend on the elongation alone or on the rate alone."""
+    def _added(self, model: Model, element: Element, draws: Drawn, errors: Float[np.ndarray, " S"]) -> list[Behaviour]:
+        """Forces that effects add and that depend on the elongation alone or on the rate alone.
+
+        Arguments:
+            model: with the effects.
+            element: the specimen.
+            draws: parameters of the model.
+            errors: added to the forces of the draws [N].
+        """
         mains = self._traits_in(model, element)
         adding = [effect for effect, main in mains.items() if main.quantity in ("elastic_force", "rate_force")]
         found: list[Behaviour] = []
@@ -180,7 +204,7 @@ class Probe(NamedTuple):
             main = mains[effect]
             curves = [one.elastic if main.quantity == "elastic_force" else one.by_rate for one in own]
             least = np.asarray([curve.force[np.argmin(np.abs(curve.at))] for curve in curves])
-            most = np.asarray([curve.force[-1] for curve in curves])
+            most = np.asarray([curve.force[-1] for curve in curves]) + errors[: len(curves)]
             if main.quantity == "rate_force" and main.change == "steady":
                 least = most
             change = "is there" if main.change == "steady" else "falls" if main.change == "falls" else "grows"
@@ -272,6 +296,18 @@ class Probe(NamedTuple):
 
 # These quantities are compared with the first model if nothing changes along the test.
 _LASTING = ("recentring", "initial_stiffness", "strength+", "pinching_ratio", "sharpness")
+
+
+def _size(name: str, sizes: Mapping[str, float], values: Float[np.ndarray, " places"]) -> np.ndarray:
+    """The values that a relative error of a quantity refers to: those of `sizes`; otherwise one for a ratio, else its own."""
+    quantity = name.rstrip("+-")
+    own = np.ones(len(values)) if QUANTITIES[quantity][1] == "1" else np.abs(values)
+    return np.full(len(values), sizes[quantity]) if quantity in sizes else own
+
+
+def _normal(count: int, random: np.random.Generator) -> Float[np.ndarray, " S"]:
+    """Quantiles of the standard normal distribution in random order: draws without sampling error."""
+    return random.permutation(ndtri((np.arange(count) + 0.5) / count))
 
 
 def _value(values: np.ndarray) -> Value:
