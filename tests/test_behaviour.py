@@ -100,6 +100,24 @@ def test_a_stiffness_that_falls_exponentially_is_named_for_it(histories):
     assert found.names[0] == "stiffness_degradation"
 
 
+@pytest.mark.parametrize(
+    ("share", "names"),
+    [
+        (lambda least: np.full_like(least, 0.4), ("asymmetry",)),
+        (lambda least: 1 - 0.8 * np.exp(least / 0.03), ("buckling", "asymmetry")),
+    ],
+)
+def test_two_sides_that_differ_always_are_asymmetric_and_a_side_that_falls_as_it_shortens_buckles(
+    histories, share, names
+):
+    law = elastoplastic(histories)
+    least = np.minimum.accumulate(histories.elongation[:, ::2], axis=1)
+    # Of the force in compression, a share is lost.
+    found = named(histories, np.where(law < 0, law * (1 - np.clip(share(least), 0.0, 0.9)), law), law)
+    assert found is not None
+    assert found.names == names
+
+
 def rates(histories: Histories) -> np.ndarray:
     return histories.rate[:, ::2] / RATE
 

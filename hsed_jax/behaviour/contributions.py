@@ -58,10 +58,13 @@ class Contribution(NamedTuple):
         values = np.stack([self.changes[name] for name in names])
         return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
-    def depends(self, *names: str) -> dict[str, float]:
-        """The drivers of the mean change of quantities over the histories, the best first."""
-        change = np.mean([self.changes[name] for name in names], axis=0)
-        return dependence(change, self.drivers)
+    def change(self, *names: str) -> Float[np.ndarray, " B"]:
+        """The change of quantities, averaged over them, in each history."""
+        return np.mean([self.changes[name] for name in names], axis=0)
+
+    def apart(self, plus: str, minus: str) -> Float[np.ndarray, " B"]:
+        """Half the difference between the changes of both sides in each history."""
+        return 0.5 * (self.changes[plus] - self.changes[minus])
 
 
 def contribution(
