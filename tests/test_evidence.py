@@ -98,6 +98,31 @@ def test_sampled_moments_are_those_of_the_gaussian_posterior():
         assert moments["q95"] == pytest.approx(mean[k] + 1.645 * sd, abs=0.1 * sd)
 
 
+def test_where_the_data_pull_a_parameter_beyond_its_bound_the_others_are_drawn_for_the_bound():
+    # Three nearly equal columns: without the bound of the first parameter, the other two would be far from where they are.
+    random = np.random.default_rng(3)
+    X = np.stack([TIME, TIME + 0.1 * np.sin(3 * TIME), TIME + 0.1 * random.standard_normal(12)], axis=1)
+    data = X @ np.array([-4.0, 3.0, 2.0]) + 0.05 * random.standard_normal(12)
+    priors = {"0": Prior("uniform", [0.0, 4.0]), "1": Prior("normal", [0.0, 5.0]), "2": Prior("normal", [0.0, 5.0])}
+    models, target, fit = fitted(lambda theta: theta.T @ X.T, priors, data, sigma=0.05)
+    # By quadrature over the first parameter; where it is known, the other two are Gaussian.
+    first, Z = np.linspace(0.0, 1.0, 4001), X[:, 1:]
+    covariance = np.linalg.inv(Z.T @ Z / 0.05**2 + np.eye(2) / 25)
+    density = stats.multivariate_normal(np.zeros(12), 25 * Z @ Z.T + 0.05**2 * np.eye(12)).logpdf(
+        data - first[:, None] * X[:, 0]
+    )
+    shares = np.exp(density - density.max()) / np.exp(density - density.max()).sum()
+    means = (data - first[:, None] * X[:, 0]) @ Z @ covariance / 0.05**2
+    sampled = sample_posterior(fit, models, target, 240, 0)
+    assert sampled.effective > 30
+    assert sampled.moments(0)["mean"] == pytest.approx(shares @ first, rel=0.3)
+    for k in (1, 2):
+        exact = shares @ means[:, k - 1]
+        sd = np.sqrt(covariance[k - 1, k - 1] + shares @ (means[:, k - 1] - exact) ** 2)
+        assert sampled.moments(k)["mean"] == pytest.approx(exact, abs=0.3 * sd)
+        assert sampled.moments(k)["sd"] == pytest.approx(sd, rel=0.25)
+
+
 def test_the_same_seed_gives_the_same_sample_and_another_a_different_one():
     models, target, fit = fitted(linear([0, 1]), normals([0, 1]))
     first, again, other = (sample_posterior(fit, models, target, 200, seed) for seed in (5, 5, 6))

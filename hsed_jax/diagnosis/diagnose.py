@@ -326,7 +326,7 @@ def _moments(problem: Problem, fit: FitState, sample: Sampled | None, column: in
 
 def _deviation(problem: Problem, fit: FitState, column: int) -> float:
     """Change of a parameter over one posterior sd of its coordinate (from the Hessian), at most over one sd of its prior."""
-    _, covariance = gaussian(fit)
+    _, covariance = gaussian(fit, problem.models.box)
     place = int(np.flatnonzero(fit.free == column)[0])
     step = min(math.sqrt(covariance[place, place]), 1.0)
     moved = fit.x.copy()

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import log_ndtr
 
+from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.fit_state import FitState, Target
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.importance import Proposal, flattened, weigh
@@ -57,6 +58,22 @@ class Sampled(NamedTuple):
         }
 
 
+class _Minimum(NamedTuple):
+    """The minimum of φ within the box, expanded to second order at the end of a fit.
+
+    Attributes:
+        x: the free coordinates, (p,).
+        cost, gradient, hessian: of φ there.
+        is_held: whether the gradient holds a coordinate at its bound, (p,).
+    """
+
+    x: np.ndarray
+    cost: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+    is_held: np.ndarray
+
+
 def laplace(fit: FitState, models: NestedModels) -> float:
     """log Z of a fit; −∞ if its simulation diverged.
 
@@ -64,23 +81,18 @@ def laplace(fit: FitState, models: NestedModels) -> float:
     """
     if not np.isfinite(fit.cost):
         return -np.inf
-    low, high, x = models.box.low[fit.free], models.box.high[fit.free], fit.x[fit.free]
-    hessian = fit.hessian + _FLOOR * np.eye(len(x))
-    is_held = ((x <= low) & (fit.gradient > 0)) | ((x >= high) & (fit.gradient < 0))
+    low, high = models.box.low[fit.free], models.box.high[fit.free]
+    x, cost, gradient, hessian, is_held = _minimum(fit, models.box)
     loose, held = np.flatnonzero(~is_held), np.flatnonzero(is_held)
-    log_z = -fit.cost
+    log_z = -cost
+    stiffness, slopes = np.diag(hessian)[held], np.abs(gradient[held])
     if loose.size:
         covariance = np.linalg.inv(hessian[np.ix_(loose, loose)])
-        slope = fit.gradient[loose]
-        center, deviation = x[loose] - covariance @ slope, np.sqrt(np.diag(covariance))
-        inside = _log_interval((low[loose] - center) / deviation, (high[loose] - center) / deviation)
-        log_z += 0.5 * float(slope @ covariance @ slope) + float(inside.sum())
+        deviation = np.sqrt(np.diag(covariance))
+        log_z += float(_log_interval((low - x)[loose] / deviation, (high - x)[loose] / deviation).sum())
         log_z += 0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1])
         across = hessian[np.ix_(held, loose)]
-        stiffness = np.diag(hessian[np.ix_(held, held)] - across @ covariance @ across.T)
-        slopes = np.abs(fit.gradient[held] - across @ covariance @ slope)
-    else:
-        stiffness, slopes = np.diag(hessian)[held], np.abs(fit.gradient[held])
+        stiffness = stiffness - np.diag(across @ covariance @ across.T)
     # ∫ exp(−g d − h d²/2) over d > 0, up to the other bound.
     stiffness = np.maximum(stiffness, _FLOOR)
     deviation, width = 1 / np.sqrt(stiffness), (high - low)[held]
@@ -100,7 +112,7 @@ def sample_posterior(fit: FitState, models: NestedModels, target: Target, draws:
         seed: of the random numbers.
     """
     low, high = models.box.low[fit.free], models.box.high[fit.free]
-    center, covariance = gaussian(fit)
+    center, covariance = gaussian(fit, models.box)
     # The proposal of a coordinate without information has at most half the width of the box as its standard deviation.
     width = np.where(np.isfinite(low) & np.isfinite(high), 0.5 * (high - low), 10.0)
     shrink = np.minimum(1.0, width / np.sqrt(np.diag(covariance)))
@@ -125,11 +137,33 @@ def sample_posterior(fit: FitState, models: NestedModels, target: Target, draws:
     return Sampled(found.log_evidence, found.worth, thetas, weights)
 
 
-def gaussian(fit: FitState) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and covariance of exp(−φ), expanded to second order."""
-    covariance = np.linalg.inv(fit.hessian + _FLOOR * np.eye(len(fit.free)))
-    covariance = 0.5 * (covariance + covariance.T)
-    return fit.x[fit.free] - covariance @ fit.gradient, covariance
+def gaussian(fit: FitState, box: Box) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and covariance of exp(−φ) within the box, expanded to second order.
+
+    A coordinate that the gradient g of φ holds at its bound has an exponential tail, whose mean square about the bound is 2/g².
+    """
+    found = _minimum(fit, box)
+    covariance = np.linalg.inv(found.hessian + np.diag(np.where(found.is_held, 0.5 * found.gradient**2, 0.0)))
+    return found.x, 0.5 * (covariance + covariance.T)
+
+
+def _minimum(fit: FitState, box: Box) -> _Minimum:
+    """The minimum of the quadratic within the box: what would leave the box stays on its bound, and the others adapt to that."""
+    low, high, start = box.low[fit.free], box.high[fit.free], fit.x[fit.free]
+    hessian = fit.hessian + _FLOOR * np.eye(len(start))
+    x, gradient = start.copy(), fit.gradient
+    is_held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+    while not is_held.all():
+        loose, moved = np.flatnonzero(~is_held), x.copy()
+        moved[loose] -= np.linalg.solve(hessian[np.ix_(loose, loose)], gradient[loose])
+        is_beyond = (moved < low) | (moved > high)
+        x = np.where(is_beyond, np.clip(moved, low, high), x) if is_beyond.any() else moved
+        gradient = fit.gradient + hessian @ (x - start)
+        if not is_beyond.any():
+            break
+        is_held = is_held | is_beyond
+    step = x - start
+    return _Minimum(x, fit.cost + float(fit.gradient @ step + 0.5 * step @ hessian @ step), gradient, hessian, is_held)
 
 
 def _costs(fit: FitState, models: NestedModels, target: Target, points: np.ndarray) -> np.ndarray:

@@ -101,7 +101,7 @@ class Around(NamedTuple):
 def around(models: NestedModels, fit: FitState) -> Around:
     """Points around a fit, within the spread of its posterior."""
     box = models.box
-    _, covariance = gaussian(fit)
+    _, covariance = gaussian(fit, box)
     low, high = box.low[fit.free], box.high[fit.free]
     deviation = np.sqrt(np.diag(covariance))
     # The sd of a parameter without information is limited to half the width of the box.
