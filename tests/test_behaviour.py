@@ -101,21 +101,15 @@ def test_a_stiffness_that_falls_exponentially_is_named_for_it(histories):
 
 
 @pytest.mark.parametrize(
-    ("share", "names"),
-    [
-        (lambda least: np.full_like(least, 0.4), ("asymmetry",)),
-        (lambda least: 1 - 0.8 * np.exp(least / 0.03), ("buckling", "asymmetry")),
-    ],
+    "share", [lambda least: np.full_like(least, 0.4), lambda least: 1 - 0.8 * np.exp(least / 0.03)]
 )
-def test_two_sides_that_differ_always_are_asymmetric_and_a_side_that_falls_as_it_shortens_buckles(
-    histories, share, names
-):
+def test_a_side_that_is_weaker_has_the_names_of_two_sides_that_differ(histories, share):
     law = elastoplastic(histories)
     least = np.minimum.accumulate(histories.elongation[:, ::2], axis=1)
-    # Of the force in compression, a share is lost.
+    # Of the force in compression, a share is lost: always the same one, or more as it shortens.
     found = named(histories, np.where(law < 0, law * (1 - np.clip(share(least), 0.0, 0.9)), law), law)
     assert found is not None
-    assert found.names == names
+    assert found.names == ("asymmetry", "buckling")
 
 
 def rates(histories: Histories) -> np.ndarray:

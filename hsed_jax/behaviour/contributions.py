@@ -58,14 +58,6 @@ class Contribution(NamedTuple):
         values = np.stack([self.changes[name] for name in names])
         return float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
 
-    def change(self, *names: str) -> Float[np.ndarray, " B"]:
-        """The change of quantities, averaged over them, in each history."""
-        return np.mean([self.changes[name] for name in names], axis=0)
-
-    def apart(self, plus: str, minus: str) -> Float[np.ndarray, " B"]:
-        """Half the difference between the changes of both sides in each history."""
-        return 0.5 * (self.changes[plus] - self.changes[minus])
-
 
 def contribution(
     histories: Histories, force: Float[np.ndarray, "2 B samples"], probed: tuple[Probed, Probed], rate: float

@@ -20,8 +20,7 @@ the names:
 | | strength falls, stiffness less | what was gone through | `strength_degradation` |
 | | strength grows | what was gone through | `isotropic_hardening` |
 | | either | rate | `rate_dependence` |
-| | one side's differs from the other's, the same in every history | sign | `asymmetry` |
-| | one side's falls more than the other's | what was gone through | `buckling`, `asymmetry` |
+| | one side's differs from the other's | sign | `asymmetry`, `buckling` |
 
 If the table does not distinguish an effect, it keeps the name of its formula.  A name is only exchanged for one of the same
 kind, because in a specimen that hardly yields, a change of the loops resembles a force of the elongation.
@@ -30,7 +29,6 @@ kind, because in a specimen that hardly yields, a change of the loops resembles 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from hsed_jax.behaviour.contributions import Contribution, Curve, dependence
 
@@ -104,7 +102,7 @@ def trait(found: Contribution) -> Trait | None:
     if found.elastic.share > _ELASTIC:
         return _elastic(found.elastic)
     if found.by_rate.share > _RATE:
-        return _by_rate(found.by_rate, _driver(found, found.change("rate_force")))
+        return _by_rate(found.by_rate, _driver(found, "rate_force"))
     # An effect that is nearly such a force does not change the hysteresis.
     return None if found.elastic.share > _RATE else _hysteretic(found)
 
@@ -158,20 +156,15 @@ def _hysteretic(found: Contribution) -> Trait | None:
     whole = ("unloading_stiffness+", "unloading_stiffness-")
     sides = ("strength+", "strength-")
     stiffness, strength, middle = found.mean(*whole), found.mean(*sides), found.mean("initial_stiffness")
-    pair = max((whole, sides), key=lambda both: abs(found.mean(both[0]) - found.mean(both[1])))
-    if _is_one_sided(*(found.mean(one) for one in pair)):
-        driver = _driver(found, found.apart(*pair))
-        if driver in _HISTORY:
-            return Trait("strength", "falls", driver, ("buckling", "asymmetry"))
-        return Trait("strength", "differs", "sign", ("asymmetry",))
+    apart = max(0.5 * abs(found.mean(plus) - found.mean(minus)) for plus, minus in (whole, sides))
+    if _MORE * apart > max(abs(stiffness), abs(strength)):
+        return Trait("strength", "differs", "sign", ("asymmetry", "buckling"))
     if abs(strength) >= max(abs(stiffness), PRACTICAL) and strength > 0:
         return _told(found, "strength", "grows", sides, ("isotropic_hardening",))
     if found.mean("play") > PRACTICAL:
-        return Trait("play", "grows", _driver(found, found.change("play")), ("gap", "slip", "pinching"))
+        return Trait("play", "grows", _driver(found, "play"), ("gap", "slip", "pinching"))
     if middle < -PRACTICAL and abs(middle) > _MORE * abs(stiffness):
-        return Trait(
-            "pinching_ratio", "falls", _driver(found, found.change("initial_stiffness")), ("pinching", "slip", "gap")
-        )
+        return Trait("pinching_ratio", "falls", _driver(found, "initial_stiffness"), ("pinching", "slip", "gap"))
     if strength < -PRACTICAL and abs(strength) > _MORE * abs(stiffness):
         return _told(found, "strength", "falls", sides, ("strength_degradation",))
     if stiffness < -PRACTICAL and middle < -PRACTICAL and abs(stiffness) > _MORE * abs(strength):
@@ -179,23 +172,18 @@ def _hysteretic(found: Contribution) -> Trait | None:
     return None
 
 
-def _is_one_sided(plus: float, minus: float) -> bool:
-    """Whether the changes of both sides have different signs, or one is much larger than the other."""
-    low, high = sorted((abs(plus), abs(minus)))
-    return high > PRACTICAL and (plus * minus < 0 or high > _MORE * low)
-
-
 def _told(
     found: Contribution, quantity: str, change: str, read: tuple[str, ...], names: tuple[str, ...]
 ) -> Trait | None:
-    driver = _driver(found, found.change(*read))
+    driver = _driver(found, *read)
     if driver == "rate":
         return Trait(quantity, change, driver, _DELAYED)
     return Trait(quantity, change, driver, names) if driver in _HISTORY else None
 
 
-def _driver(found: Contribution, change: Float[np.ndarray, " B"]) -> str:
-    """The driver of a change; empty if the change hardly differs between histories, or if no driver predicts it."""
+def _driver(found: Contribution, *names: str) -> str:
+    """The driver of quantities; empty if they hardly differ between histories, or if no driver predicts them."""
+    change = np.mean([found.changes[name] for name in names], axis=0)
     if not np.nanmax(change) - np.nanmin(change) > _STEADY * np.nanmax(np.abs(change)):
         return ""
     driver, share = next(iter(dependence(change, found.drivers).items()))
