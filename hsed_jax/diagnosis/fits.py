@@ -174,14 +174,20 @@ class Fits:
         """Fit choices again, from points spread over the priors of their effects: with other errors, the optimum may differ."""
         self._fit_from(target, {c: self._all_over(self._known[c].x, c) for c in choices})
 
-    def look_all_over(self, target: Target) -> None:
-        """Fit each effect alone, in its default form, from points spread over the priors of law and effect: with other parameters
-        of the law, an effect may explain more than with the fitted ones."""
+    def look_all_over(self, target: Target, rows: Int[np.ndarray, " r"]) -> None:
+        """Fit each effect alone, in its default form, from points spread over the priors of law and effect.
+
+        With other parameters of the law, an effect may explain more than with the fitted ones.  The experiments in `rows` select
+        the leading effects.
+        """
         starts: dict[Choice, list[np.ndarray]] = {}
         for effect, forms in self.effects.items():
             label, form = next(iter(forms.items()))
             starts[frozenset({(effect, label)})] = self._everywhere(np.concatenate([self.law, form.columns]))
-        self._fit_from(target, starts)
+        selected = np.isin(np.arange(len(target.values)), rows)[:, None]
+        best = self._raced(target._replace(weights=target.weights * selected), starts)
+        leading = sorted(best, key=lambda choice: best[choice].cost)[:_LEAD]
+        self._fit_from(target, {choice: [best[choice].x] for choice in leading})
 
     def submodel(self, choice: Choice) -> Submodel:
         """The submodel of a choice."""
@@ -190,16 +196,25 @@ class Fits:
         return self.models.submodel(np.concatenate([self.law, *(form.columns for form in forms)]).astype(int), held)
 
     def _fit_from(self, target: Target, starts: Mapping[Choice, Sequence[np.ndarray]]) -> None:
-        """Fit choices from their starts, of which only the leading ones continue, and store the best fit of each choice."""
+        """Fit choices from their starts, and store the best fit of each choice."""
+        for choice, fit in self._raced(target, starts).items():
+            if choice not in self._known or fit.cost < self._known[choice].cost:
+                self._known[choice] = fit
+
+    def _raced(self, target: Target, starts: Mapping[Choice, Sequence[np.ndarray]]) -> dict[Choice, FitState]:
+        """The best fit of each choice from its starts, of which only the leading ones continue."""
         tasks = [
             Task(self.submodel(choice), start, rivals=number)
             for number, (choice, own) in enumerate(starts.items())
             for start in own
         ]
-        owners = [choice for choice, own in starts.items() for _ in own]
-        for owner, fit in zip(owners, self.models.fit(target, tasks), strict=True):
-            if owner not in self._known or fit.cost < self._known[owner].cost:
-                self._known[owner] = fit
+        best: dict[Choice, FitState] = {}
+        for owner, fit in zip(
+            [c for c, own in starts.items() for _ in own], self.models.fit(target, tasks), strict=True
+        ):
+            if owner not in best or fit.cost < best[owner].cost:
+                best[owner] = fit
+        return best
 
     def _all_over(self, x: np.ndarray, pairs: Iterable[tuple[str, str]]) -> list[np.ndarray]:
         """Points with values of the effects that are spread over their priors; all other coordinates are those of x."""

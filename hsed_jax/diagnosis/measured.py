@@ -10,13 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from hsed_jax.criticism.compare import normalised_error
-from hsed_jax.criticism.prediction import HISTORY
 from hsed_jax.diagnosis.fit_state import Target
 from hsed_jax.inference.correlation import NoiseEstimate, estimate_noise
 from hsed_jax.inference.likelihood import Error, magnitudes
-
-WRONG = 5.0
-"""A model whose error exceeds this many times the noise floor is wrong: the search then also tries other law parameters."""
 
 
 class Measured(NamedTuple):
@@ -46,11 +42,6 @@ class Measured(NamedTuple):
     def error(self, predicted: np.ndarray, scored: np.ndarray | None = None) -> float:
         """Normalised error of predictions (n, J) for the scored samples, by default for all measured ones."""
         return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)
-
-    def is_far_above_noise(self, predicted: np.ndarray) -> bool:
-        """Whether the error of predictions (n, J) exceeds `WRONG` times the noise floor; False if a noise is unknown."""
-        is_known = ~np.isnan(self.declared) | (np.bincount(self.groups, minlength=len(self.errors)) >= HISTORY)
-        return bool(is_known.all()) and self.error(predicted) > WRONG * self.noise
 
     def squares(self, predicted: np.ndarray, parts: Bool[np.ndarray, "F n J"]) -> Float[np.ndarray, " F"]:
         """Squared errors of predictions (n, J) in parts of the measurements, relative to the mean square of each output, (F,)."""

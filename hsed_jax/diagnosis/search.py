@@ -25,7 +25,7 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.propose import beside, pairs, predicted_gains_of
 from hsed_jax.diagnosis.score import MATERIAL, ODDS, Gain, HeldOut, material, weights_of
-from hsed_jax.diagnosis.scores import Linearisation, score_p_value
+from hsed_jax.diagnosis.scores import Linearisation, score_p_value, telling
 from hsed_jax.errors import UserError
 
 MOST_EFFECTS = 4
@@ -114,9 +114,11 @@ class Search:
                 self._fit_pairs()
                 self._deepen([*around, *self._pairs])
             self._judge()
-            if not self.best and self.measured.is_far_above_noise(self._lowest().predicted):
+            if not self.best and not self._is_explained(self._lowest()):
                 self._report("every effect beside any law")
-                self._fits.look_all_over(self.standard.target)
+                self._fits.look_all_over(
+                    self.standard.target, telling(self.standard.target, self._fits.best(self.best))
+                )
                 self._judge()
             self._score()
             self.on_round()
