@@ -3,7 +3,6 @@
 import os
 import textwrap
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -69,21 +68,6 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     problem = problem_with(campaign)
     found = diagnosing.diagnose(problem, watch.report, watch.lead)
     return over_specimens(found, problem, problem_with, built, campaign, watch.report)
-
-
-def prepare(built: Built, campaign: Campaign) -> None:
-    """Make the program of a diagnosis, which takes long if no earlier run has stored it.
-
-    A faulty study ends the preparation without a message: its calibration or diagnosis gives the message.
-
-    Arguments:
-        built: the study.
-        campaign: the experiments to look at.
-    """
-    with suppress(Exception):
-        problem = problem_of(built, campaign, samples=_SAMPLES)
-        models = problem.models
-        models.predict([(models.neutral, models.submodel(problem.law))], np.arange(1))
 
 
 def separations(built: Built, campaign: Campaign) -> Float[Array, " m"]:

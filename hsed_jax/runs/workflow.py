@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare, locate
 from hsed_jax.analysis.discovery import discover
-from hsed_jax.analysis.remedy import Improvement, diagnose, improve, prepare
+from hsed_jax.analysis.remedy import Improvement, diagnose, improve
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import locate as locating
 from hsed_jax.criticism.compare import Comparison
@@ -322,9 +322,6 @@ class Run:
             write_campaign(self.campaign, self.store.campaign)
             size = None
         self.tell(self, "data")
-        if "diagnose" in self.study.steps:
-            # Compiling leaves Python idle, so the calibration goes on meanwhile.
-            Thread(target=prepare, args=(self.built, self.campaign), daemon=True).start()
         with self._watch("calibrate") as watch:
             self.calibration = calibrate_built(self.built, self.campaign, size=size, watch=watch)
 
