@@ -359,8 +359,8 @@ class ComponentTest:
         time = 0.5 * STEP * np.arange(2 * steps + 1)
         omega = 2 * np.pi / PERIOD
         size = np.asarray(AMPLITUDES)[np.minimum((time / PERIOD).astype(int), len(AMPLITUDES) - 1)]
-        path = Imposed(jnp.asarray(size * np.sin(omega * time)), jnp.asarray(size * omega * np.cos(omega * time)))
-        self.conditions = Conditions({}, Recorded(Tabulated(path), jnp.full(steps, STEP)))
+        path = Imposed(size * np.sin(omega * time), size * omega * np.cos(omega * time))
+        self.conditions = Conditions({}, Recorded(Tabulated(path), np.full(steps, STEP)))
         self.constants = (("A", A), ("beta", BETA), ("gamma", 0.0), ("n", 1.0))
         self.simulator = Simulator(None, None, Timeline(STEP, steps), constants=self.constants)
         self.plain = _respond(self.simulator, {}, self.conditions)

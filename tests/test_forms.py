@@ -204,21 +204,25 @@ spring, dashpot, drag = (
 )
 
 
-def towards_peak(s):
-    """Slope of the line to the strength at the former peak, over the stiffness."""
-    reached = np.where(s.v > 0, s.largest_tension, s.largest_compression) - np.sign(s.v) * s.u
-    return np.minimum(STRENGTH / STIFFNESS / np.maximum(reached, 1e-12), 1.0)
-
-
-def sharply(s):
-    there = towards_peak(s)
-    return np.where(there < 1, there * np.maximum(1 - np.abs(s.z) / STRENGTH, 0.0), 1.0)
+def towards_peak(s, is_sharp=False):
+    """Slope of the line to the virgin curve at the former peak, over that of the law."""
+    own, other = np.where(
+        s.v > 0, [s.largest_tension, s.largest_compression], [s.largest_compression, s.largest_tension]
+    )
+    way, force = STRENGTH / STIFFNESS, np.abs(s.z) / STRENGTH
+    peak = np.maximum(own, np.minimum(other, way))
+    left = peak - np.sign(s.v) * s.u
+    at_peak = np.minimum(peak / way, 1.0) if is_sharp else 1 - np.exp(-peak / way)
+    slope = (
+        (at_peak - force) / (np.where(left > 0, left, 1.0) / way) / (1.0 if is_sharp else np.maximum(1 - force, 1e-6))
+    )
+    return np.where(np.sign(s.v) * s.u < own, np.clip(slope, 0.0, 1.0), 1.0)
 
 
 EQUATIONS = {
     "peak_oriented": {
         "gradual": ("h", lambda p, x, s: 1 - p.delta * np.where(s.z * s.v > 0, 1 - towards_peak(s), 0.0)),
-        "sharp": ("h", lambda p, x, s: 1 - p.delta * np.where(s.z * s.v > 0, 1 - sharply(s), 0.0)),
+        "sharp": ("h", lambda p, x, s: 1 - p.delta * np.where(s.z * s.v > 0, 1 - towards_peak(s, True), 0.0)),
     },
     "gap": {
         "fixed": ("slack", lambda p, x, s: p.delta * U + 0 * s.u),

@@ -70,21 +70,21 @@ def test_a_flag_is_that_of_opensees():
     assert np.sqrt(np.mean((force - np.asarray(expected)) ** 2)) < 0.08 * STRENGTH
 
 
-@pytest.mark.parametrize("sharp", [0.0, 1.0])
-def test_reloading_goes_straight_to_the_strength_at_the_former_peak(sharp):
+@pytest.mark.parametrize(("sharp", "largest"), [(0.0, 0.04), (1.0, 0.04), (0.0, 0.7 * YIELD)])
+def test_reloading_goes_straight_to_the_former_peak(sharp, largest):
     n = 1.0 + 19.0 * sharp
     law = BoucWen(A=A, beta=0.5 * A / STRENGTH**n, gamma=0.5 * A / STRENGTH**n, n=n)
-    u, force = along([0.0, 0.04, -0.04, 0.05], law, peak_oriented={"delta": 1.0, "sharp": sharp})
-    for leg, peak in ((slice(STEPS, 2 * STEPS + 1), -YIELD), (slice(2 * STEPS, None), 0.04)):
-        side = np.sign(u[leg][-1])
-        reloads = (side * force[leg] > 0) & (side * u[leg] < side * peak - YIELD)
-        begin = u[leg][reloads][0]
-        # dz/du = (z_u − z)/(u_p − u) has this line as its solution.
-        line = side * STRENGTH * (u[leg][reloads] - begin) / (peak - begin)
-        if leg.start == 2 * STEPS:
-            np.testing.assert_allclose(force[leg][reloads], line, atol=(0.01 + 0.02 * sharp) * STRENGTH)
+    u, force = along([0.0, largest, -largest, 1.25 * largest], law, peak_oriented={"delta": 1.0, "sharp": sharp})
+    leg, peak = slice(2 * STEPS, None), STRENGTH * min(1 - np.exp(-largest / YIELD) + sharp, 1.0)
+    reloads = (force[leg] > 0) & (u[leg] < 0.8 * largest)
+    begin = u[leg][reloads][0]
+    # dz/du = (z_p − z)/(u_p − u) has this line as its solution.
+    line = peak * (u[leg][reloads] - begin) / (largest - begin)
+    np.testing.assert_allclose(force[leg][reloads], line, atol=(0.01 + 0.02 * sharp) * STRENGTH)
+    without = along([0.0, largest, -largest, 1.25 * largest], law)[1]
+    assert np.abs(without[leg][reloads] - line).max() > 0.03 * STRENGTH
     # What was never reached is as without it.
-    plain = along([0.0, 0.04], law)[1]
+    plain = along([0.0, largest], law)[1]
     np.testing.assert_allclose(force[: STEPS + 1], plain, rtol=1e-6, atol=1e-3)
 
 

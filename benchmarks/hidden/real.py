@@ -57,11 +57,17 @@ def _power_of_the_plastic_elongation(x, s, p):
 
 
 def _towards(x, peak):
-    """The slope to the point of the virgin curve at an elongation on the side of loading, over that of the law, 1 at most."""
+    """The slope to the point of the virgin curve at an elongation on the side of loading, over that of the law, 1 at most.
+
+    It goes over into 1 within 0.04 u_c before the peak: on virgin ground the law goes its own way.
+    """
     at_peak = -x.strength * np.expm1(-peak * x.A / x.strength)
-    way = np.maximum(peak - np.sign(x.v) * x.u, 0.02 * x.scales.elongation)
+    left = peak - np.sign(x.v) * x.u
+    way = np.maximum(left, 0.02 * x.scales.elongation)
     slope = np.maximum(at_peak - np.abs(x.z), 0.0) / way
-    return np.minimum(slope / (x.A * np.maximum(1 - ratio(x), 0.01)), 1.0)
+    share = np.minimum(slope / (x.A * np.maximum(1 - ratio(x), 0.01)), 1.0)
+    virgin = np.clip(2 - left / (0.02 * x.scales.elongation), 0.0, 1.0)
+    return virgin + (1 - virgin) * share
 
 
 def _aims_at_the_peak(x, s, p):

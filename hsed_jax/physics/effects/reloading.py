@@ -15,16 +15,25 @@ from hsed_jax.physics.states import LARGEST_COMPRESSION, LARGEST_TENSION, Shared
 _ROUNDED, _CLOSED = 0.03, 0.02
 # What slides back at a tenth of the strength does so as a whole.
 _WHOLE = 10.0
+# Least rest of the force to the strength, over the strength, and of the elongation to the former peak, over the yield elongation.
+_LEFT = 1e-6
 # A brace that has lost a quarter of its strength has its whole elongation to straighten.
 _AT_ONCE = 4.0
 
 
-def _towards_peak(point: SpringPoint) -> Scalar:
-    """Slope from zero force to the strength at the largest elongation on the side of loading, over the stiffness; 1 beyond it."""
+def _towards_peak(point: SpringPoint, sharp: Scalar = 0.0) -> Scalar:
+    """Slope to the virgin curve at the largest elongation on the side of loading, over the slope of the element, at most 1."""
     tension, compression = point.memory["largest_tension"], point.memory["largest_compression"]
-    way = jnp.where(point.rate > 0, tension, compression) - jnp.sign(point.rate) * point.elongation
-    yielding = point.strength / point.stiffness
-    return yielding / jnp.maximum(way, yielding)
+    own, other = jnp.where(point.rate > 0, tension, compression), jnp.where(point.rate > 0, compression, tension)
+    yielding, force = point.strength / point.stiffness, jnp.abs(point.hysteretic) / point.strength
+    # A side that was hardly reached has the peak of the other side, up to its yield point.
+    peak, forth = jnp.maximum(own, jnp.minimum(other, yielding)), jnp.sign(point.rate) * point.elongation
+    at_peak, left = -jnp.expm1(-peak / yielding), jnp.maximum(1 - force, _LEFT)
+    if not is_zero(sharp):
+        at_peak = at_peak + sharp * (jnp.minimum(peak / yielding, 1.0) - at_peak)
+        left = left + sharp * (1 - left)
+    slope = (at_peak - force) * yielding / (jnp.maximum(peak - forth, _LEFT * yielding) * left)
+    return jnp.where(forth < own, jnp.clip(slope, 0.0, 1.0), 1.0)
 
 
 @register
@@ -65,14 +74,17 @@ class SelfCentering(AbstractSpringEffect):
 @register
 @final
 class PeakOriented(AbstractSpringEffect):
-    r"""Reloading aims at the strength at the largest elongation reached on that side.
+    r"""Reloading aims at the former peak, the point of the virgin curve at the largest elongation reached on that side.
 
     $$h = 1 - \delta(1 - s)\quad\text{on loading},\qquad
-      s = \min\Big(\frac{u_y}{\max(\pm\Delta u) \mp \Delta u}, 1\Big),\quad u_y = z_u/k_0$$
+      s = \mathrm{clip}\Big(\frac{z_p - |z|}{(u_p - |\Delta u|)\,k_0(1 - |z|/z_u)},\, 0,\, 1\Big),$$
+    $$z_p = z_u(1 - e^{-k_0u_p/z_u})$$
 
-    with the signs of $\Delta\dot u$.  With δ = 1 reloading is a straight line to $z_u$ at the largest elongation, for a law that
-    yields gradually (n = 1).  For a law that yields abruptly (large n), the form `sharp` gives this line: it multiplies s by
-    $1 - |z|/z_u$.
+    with $u_p$ the largest elongation on the side of $\Delta\dot u$, and $|\Delta u|$ negative on the other side.  Beyond this
+    elongation there is no limit.  A side that was hardly reached has the $u_p$ of the other side, at most $z_u/k_0$.
+
+    With δ = 1 reloading is a straight line to the former peak, for a law that yields gradually (n = 1).  For a law that yields
+    abruptly (large n), the form `sharp` gives this line.
     """
 
     name: ClassVar[str] = "peak_oriented"
@@ -80,8 +92,9 @@ class PeakOriented(AbstractSpringEffect):
     reference: ClassVar[str] = "Clough & Johnston 1966; Ibarra, Medina & Krawinkler 2005"
     forms: ClassVar[tuple[Form, ...]] = (
         Form("gradual"),
-        Form("sharp", r"h = 1 - \delta\left[1 - s(1 - |z|/z_u)\right]", held={"sharp": 1.0}),
-    )
+        Form("sharp", r"s = \mathrm{clip}\Big(\frac{z_p - |z|}{(u_p - |\Delta u|)\,k_0}, 0, 1\Big),\ z_p = \min(k_0u_p, z_u)",
+             held={"sharp": 1.0}),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_p",
@@ -101,11 +114,7 @@ class PeakOriented(AbstractSpringEffect):
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
         """A factor on `h`."""
-        towards = _towards_peak(point)
-        if not is_zero(self.sharp):
-            # Where nothing limits the way the law itself does.
-            left = jnp.maximum(1 - jnp.abs(point.hysteretic) / point.strength, 0.0)
-            towards = towards * jnp.where(towards < 1, 1 - self.sharp * (1 - left), 1.0)
+        towards = _towards_peak(point, self.sharp)
         return {"h": 1 - self.delta * jnp.where(point.rate * point.hysteretic > 0, 1 - towards, 0.0)}
 
 
