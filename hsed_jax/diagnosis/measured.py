@@ -3,6 +3,7 @@
 # JAX gives its devices no type, so the functions that make arrays have none.
 # pyright: reportUnknownMemberType=false
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -117,7 +118,8 @@ class Measured(NamedTuple):
             standard: the effective numbers of samples.
         """
         left, noise = self.error(predicted) ** 2, self.noise**2
-        return float(np.sqrt(max(left - noise, 0.0) + noise * np.sqrt(2 / max(self._counts(standard).sum(), 1.0))))
+        count = max(float(self._counts(standard).sum()), 1.0)
+        return math.sqrt(max(left - noise, 0.0) + noise * math.sqrt(2 / count))
 
     def _counts(self, standard: "Standard") -> Float[np.ndarray, " G"]:
         """The effective number of samples of each output."""

@@ -116,9 +116,8 @@ class Search:
             self._judge()
             if not self.best and not self._is_explained(self._lowest()):
                 self._report("every effect beside any law")
-                self._fits.look_all_over(
-                    self.standard.target, telling(self.standard.target, self._fits.best(self.best))
-                )
+                rows = telling(self.standard.target, self._fits.best(self.best))
+                self._fits.look_all_over(self.standard.target, rows)
                 self._judge()
             self._score()
             self.on_round()
@@ -135,12 +134,11 @@ class Search:
 
     def adopt(self, coarse: "Search") -> None:
         """Judge the sets of a search over fewer experiments: the best one (also less one effect), its path, the leading ones."""
-        best = coarse.best
         leading = [m.effects for m in coarse.all()[:_AGAIN]]
-        sets = dict.fromkeys([best, *_less_one(best), *coarse.path, *leading])
+        sets = dict.fromkeys([coarse.best, *_less_one(coarse.best), *coarse.path, *leading])
         choices = {coarse._fits.top(s): [coarse._fits.best(s).x] for s in sets if s}
         self._fits.fit(self.standard.target, choices, choices)
-        self.best, self.path = best, coarse.path
+        self.best, self.path = coarse.best, coarse.path
         self._judge(anew=False)
         self._score(is_over=True)
 
