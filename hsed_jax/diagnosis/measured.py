@@ -118,7 +118,7 @@ class Measured(NamedTuple):
             standard: the effective numbers of samples.
         """
         left, noise = self.error(predicted) ** 2, self.noise**2
-        count = max(float(self._counts(standard).sum()), 1.0)
+        count = max(float(np.sum(self._counts(standard))), 1.0)
         return math.sqrt(max(left - noise, 0.0) + noise * math.sqrt(2 / count))
 
     def _counts(self, standard: "Standard") -> Float[np.ndarray, " G"]:
