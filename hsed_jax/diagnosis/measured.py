@@ -100,7 +100,7 @@ class Measured(NamedTuple):
         left = self.left(predicted)
         errors = np.fmax(self.declared, left)
         counts = self._counts(standard)
-        share = max(1 - parameters / counts.sum(), 0.0)
+        share = max(1 - parameters / float(counts.sum()), 0.0)
         return float(np.sum(counts * (share * np.log(errors / standard.errors) + 0.5 * (left / errors) ** 2)))
 
     def model_error(self, predicted: np.ndarray, standard: "Standard") -> float:
@@ -118,11 +118,11 @@ class Measured(NamedTuple):
             standard: the effective numbers of samples.
         """
         left, noise = self.error(predicted) ** 2, self.noise**2
-        count = max(float(np.sum(self._counts(standard))), 1.0)
-        return math.sqrt(max(left - noise, 0.0) + noise * math.sqrt(2 / count))
+        counts = self._counts(standard)
+        return math.sqrt(max(left - noise, 0.0) + noise * math.sqrt(2 / max(counts.sum(), 1.0)))
 
-    def _counts(self, standard: "Standard") -> Float[np.ndarray, " G"]:
-        """The effective number of samples of each output."""
+    def _counts(self, standard: "Standard") -> np.ndarray:
+        """The effective number of samples of each output, (G,)."""
         return standard.worth * np.asarray([int(self.used[:, self.groups == g].sum()) for g in range(len(self.errors))])
 
     def sigma(self, errors: Float[np.ndarray, " G"], predicted: np.ndarray) -> Float[np.ndarray, "n J"]:
