@@ -45,7 +45,7 @@ from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns
 from hsed_jax.diagnosis.rivals import look_alikes_of, predictive, separation, shares_of
-from hsed_jax.diagnosis.score import folds_of, weights_of
+from hsed_jax.diagnosis.score import explained_share, folds_of, weights_of
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
 from hsed_jax.inference.likelihood import Columns, Error, sigma_of
@@ -824,6 +824,21 @@ def test_an_exchange_leaves_each_set_of_one_effect_less():
         assert np.isfinite(search.model(search.best - {effect}).log_evidence)
 
 
+@pytest.mark.parametrize(
+    ("noise", "before", "after", "share"),
+    [
+        (0.0, 0.5, 0.3, 1 - 0.36),
+        (0.3, 0.5, 0.4, 1 - 0.07 / 0.16),
+        (0.3, 0.5, 0.2, 1.0),
+        (0.3, 0.5, 0.6, 0.0),
+        (0.3, 0.2, 0.25, 1.0),
+        (0.3, 0.5, np.inf, 0.0),
+    ],
+)
+def test_what_a_model_explains_is_a_share_of_the_squared_error_beyond_the_noise(noise, before, after, share):
+    assert explained_share(noise, before, after) == pytest.approx(share)
+
+
 def test_an_average_over_explanations_is_their_mixture():
     problem, search = rival_case(0.07)
     models = [search.model({name}) for name in ("effect_0", "effect_2")]
@@ -967,6 +982,15 @@ def test_a_verdict_that_other_priors_turn_to_another_explanation_is_ambiguous(mo
     assert found.look_alikes == [["viscous_damping", other]] and found.averaged is not None
     assert f"or {found.called(other)}, which these measurements cannot tell apart" in found.sentence
     assert f"it leads to {found.called(other)}" in " ".join(found.summary()["notes"])
+
+
+def test_what_an_effect_leaves_beside_the_noise_is_not_its_own():
+    found = diagnosed(C, effects=["coulomb_friction"])
+    (first,) = found.ranking
+    share = explained_share(found.noise_floor, found.error[1], first.error_test)
+    assert found.effects == ["coulomb_friction"] and 0.2 < share < 0.95
+    assert first.probability == pytest.approx(RIGHT * share, rel=0.01)
+    assert found.explanations[0].weight == pytest.approx(first.probability)
 
 
 def test_an_ambiguous_diagnosis_says_how_far_its_explanations_differ(damped):

@@ -19,6 +19,7 @@ from builders.misfits import histories, quantities
 import hsed_jax as hx
 from hsed_jax.command_line import _tell as tell
 from hsed_jax.criticism.improve import Step, Trail
+from hsed_jax.criticism.prediction import error_change
 from hsed_jax.inference.nuts import Convergence
 from hsed_jax.measurements import Record
 from hsed_jax.physics.response import Response
@@ -93,6 +94,7 @@ def test_the_numbers_are_those_of_the_results():
         == "the error on experiments that were not used goes from 0.400 to 0.200 (noise 0.050)"
     )
     assert better.after.verdict in repr(better)
+    assert error_change("0.029", "0.029") == "stays at 0.029"
 
 
 def test_the_sentence_of_what_is_wrong_comes_first():

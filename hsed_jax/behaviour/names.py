@@ -37,8 +37,8 @@ PRACTICAL = 0.1
 
 RIGHT = 0.93
 """Share of right names of specimens whose formula is not in the catalogue, where the weight of the named effect is nearly one:
-119 of 128 (`benchmarks/hidden_effects_unseen.json`).  A weight compares the formulas of the catalogue only.  Times this share, it
-is the probability of an effect; the rest belongs to formulas that are not in the catalogue.
+119 of 128 (`benchmarks/hidden_effects_unseen.json`).  A weight compares the formulas of the catalogue only.  The rest
+belongs to formulas that are not in the catalogue.
 """
 
 # A force is a function of the elongation, or of the rate, that explains so much of it: friction may wear, a spring does not.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hsed_jax.criticism.compare import Comparison
-from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.criticism.prediction import error_cell, error_change
 from hsed_jax.physics.effects import called
 from hsed_jax.tables import Table, Tabular, cell
 
@@ -49,11 +49,11 @@ class Trail(Tabular):
     def sentence(self) -> str:
         """The reduction of the error, on held-out experiments if they exist."""
         first, last = self.steps[0], self.steps[-1]
-        ends = [s.error_train if last.error_test is None else s.error_test for s in (first, last)]
+        ends = [error_cell(s.error_train if last.error_test is None else s.error_test) for s in (first, last)]
         which = "the fitted experiments" if last.error_test is None else "experiments that were not used"
         if len(self.steps) == 1:
-            return f"nothing was added: the error on {which} is {error_cell(ends[0])} (noise {self.noise_floor:.3f})"
-        return f"the error on {which} goes from {error_cell(ends[0])} to {error_cell(ends[1])} (noise {self.noise_floor:.3f})"
+            return f"nothing was added: the error on {which} is {ends[0]} (noise {self.noise_floor:.3f})"
+        return f"the error on {which} {error_change(*ends)} (noise {self.noise_floor:.3f})"
 
     def _table(self) -> Table:
         names = list(dict.fromkeys(name for step in self.steps for name in step.parameters if "error." not in name))

@@ -42,6 +42,11 @@ def error_cell(error: float | None, look: str = ".3f") -> str:
     return "diverged" if error is not None and not np.isnan(error) and has_diverged(error) else cell(error, look)
 
 
+def error_change(before: str, after: str) -> str:
+    """The verb of a sentence on an error, from its cells before and after a change of the model."""
+    return f"stays at {after}" if before == after else f"goes from {before} to {after}"
+
+
 class Band(NamedTuple):
     """Moments of a predictive distribution: mean, and sd by part, whose squares add up, (n, J) each."""
 

@@ -21,6 +21,7 @@ from hsed_jax.diagnosis.prior_widths import prior_widths
 from hsed_jax.diagnosis.probing import Probe
 from hsed_jax.diagnosis.problem import Problem
 from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_experiment, rivals_of, separation
+from hsed_jax.diagnosis.score import explained_share
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
 
@@ -84,7 +85,8 @@ def diagnose(
     rivals = rivals_of(models, best)
     called = {} if probe is None else {m.effects: probe.called(m) for m in (best, *rivals) if m.effects}
     rivals = [m for m in rivals if called.get(m.effects) != called.get(best.effects, best.effects)]
-    ranking = _ranking(problem, search, models, sampled, called)
+    stated = stated_probabilities(problem, search, models, called)
+    ranking = _ranking(problem, search, models, sampled, stated)
     is_adequate = is_explained(none.fit) and not problem.opened
     plain = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
     before = plain if not best.effects else "ambiguous" if rivals else "missing_effects"
@@ -137,7 +139,7 @@ def diagnose(
         opened=_opened(problem, none.fit),
         notes=[*problem.notes, *([_MISSED] if search.missed > _APART else [])],
         averaged=average,
-        explanations=_explanations(search, models, best, called),
+        explanations=_explanations(search, models, best, called, stated),
         behaviour=Behaviours()
         if probe is None
         else probe.behaviours(
@@ -170,19 +172,20 @@ def _rename(probe: Probe, search: Search) -> None:
             search.exchange(effect, name, traits[effect].driver, lambda model, name=name: name in probe.called(model))
 
 
-def _explanations(search: Search, models: list[Model], best: Model, called: Mapping[Set, Set]) -> list[Explained]:
-    """The models with a relevant weight, the most probable first; models with the same behaviour are one explanation."""
+def _explanations(
+    search: Search, models: list[Model], best: Model, called: Mapping[Set, Set], stated: Mapping[Set, float]
+) -> list[Explained]:
+    """The models with a relevant probability, the most probable first; models with the same behaviour are one explanation."""
     groups: dict[Set, list[Model]] = {}
     for model in models:
         groups.setdefault(called.get(model.effects, model.effects), []).append(model)
-    weights = {name: RIGHT * sum(m.probability for m in group) for name, group in groups.items()}
     own = called.get(best.effects, best.effects)
-    kept = [name for name, weight in weights.items() if weight >= _COUNTS or name == own]
+    kept = [name for name in groups if stated.get(name, 0.0) >= _COUNTS or name == own]
     first = {name: best if name == own else groups[name][0] for name in kept}
     tests = search.unseen([model.effects for model in first.values()])
     gains = _gains(search, list(first.values()))
     found = [
-        Explained(sorted(name), dict(model.forms), weights[name], test, gains.get(model.effects))
+        Explained(sorted(name), dict(model.forms), stated.get(name, 0.0), test, gains.get(model.effects))
         for (name, model), test in zip(first.items(), tests, strict=True)
     ]
     return sorted(found, key=lambda one: -one.weight)
@@ -199,14 +202,10 @@ def _started(problem: Problem, report: Callable[[str], None]) -> Search:
 
 def _leading(problem: Problem, search: Search) -> dict[str, Any]:
     """The current result of a running search: the best set, and the probabilities of the effects."""
-    models, best = search.all(), search.model(search.best)
-    before = search.model(())
+    best, before = search.model(search.best), search.model(())
+    stated = stated_probabilities(problem, search, search.all(), {})
     ranking: list[dict[str, Any]] = [
-        {
-            "effect": effect,
-            "family": problem.catalogue[effect].family,
-            "probability": _probability(effect, models, {}),
-        }
+        {"effect": effect, "family": problem.catalogue[effect].family, "probability": _probability(effect, stated)}
         for effect in problem.effects
     ]
     return {
@@ -225,14 +224,37 @@ def _leading(problem: Problem, search: Search) -> dict[str, Any]:
 # Probabilities and sizes.
 
 
-def _probability(effect: str, models: list[Model], called: Mapping[Set, Set]) -> float:
-    """Probability of an effect: the weight of all models with it, by the names of their behaviour, times the share of right
-    names."""
-    return RIGHT * min(sum(m.probability for m in models if effect in called.get(m.effects, m.effects)), 1.0)
+def stated_probabilities(
+    problem: Problem, search: Search, models: Sequence[Model], called: Mapping[Set, Set]
+) -> dict[Set, float]:
+    r"""The probability of each explanation, by the names of its behaviour: models with the same behaviour are one explanation.
+
+    The weight $p_M$ of a model compares the formulas of the catalogue only.  The part of the misfit that a model does not explain
+    may be due to anything, and a specimen whose formula is not in the catalogue may be described by a wrong one:
+
+    $$P = r \sum_M p_M\,\Big(1 - \frac{E_M^2 - s^2}{E_0^2 - s^2}\Big)$$
+
+    with the errors E of held-out data, of the first model $E_0$, the noise floor s, and the share of right names r (`RIGHT`).  A
+    model whose residual the noise explains leaves nothing.
+    """
+    counted = [m for m in models if m.probability > 0]
+    before, *errors = search.unseen([frozenset(), *(m.effects for m in counted)])
+    stated: dict[Set, float] = {}
+    for model, error in zip(counted, errors, strict=True):
+        name, share = called.get(model.effects, model.effects), 1.0
+        if not noise_explains(problem, model.fit):
+            share = explained_share(problem.train.noise, before, error)
+        stated[name] = stated.get(name, 0.0) + RIGHT * share * model.probability
+    return stated
+
+
+def _probability(effect: str, stated: Mapping[Set, float]) -> float:
+    """Probability of an effect: of all explanations with it."""
+    return min(sum(probability for name, probability in stated.items() if effect in name), RIGHT)
 
 
 def _ranking(
-    problem: Problem, search: Search, models: list[Model], sampled: dict[Set, Sampled], called: Mapping[Set, Set]
+    problem: Problem, search: Search, models: list[Model], sampled: dict[Set, Sampled], stated: Mapping[Set, float]
 ) -> list[Candidate]:
     by_set = {m.effects: m for m in models}
     best = search.best
@@ -257,7 +279,7 @@ def _ranking(
     for (effect, (model, without)), test in zip(shown.items(), tests, strict=True):
         sample = sampled.get(model.effects)
         score = search.scores[effect]
-        probability = _probability(effect, models, called)
+        probability = _probability(effect, stated)
         found.append(
             Candidate(
                 effect=effect,

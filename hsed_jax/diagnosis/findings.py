@@ -9,7 +9,7 @@ import numpy as np
 
 from hsed_jax.behaviour.findings import Behaviours
 from hsed_jax.criticism.compare import is_noise
-from hsed_jax.criticism.prediction import Prediction, error_cell
+from hsed_jax.criticism.prediction import Prediction, error_cell, error_change
 from hsed_jax.physics.effects import called
 from hsed_jax.physics.scales import Scales
 from hsed_jax.tables import Table, Tabular, cell, odds
@@ -29,7 +29,7 @@ class Candidate:
 
     Attributes:
         effect, family: of the catalogue.
-        probability: weight of all considered models that contain the effect, times the share of right names (`RIGHT`).
+        probability: of the effect, by all considered models that contain it (`hsed_jax.diagnosis.diagnose.stated_probabilities`).
         log_evidence_gain: of the model with it over the same model without it.
         rao_statistic, rao_p_value: Rao's score test of its amplitude in the first model (without candidates).
         estimate: its parameters, dimensionless and in physical units: mean, sd, 5 % and 95 % quantile, unit.
@@ -109,7 +109,7 @@ class Explained:
     Attributes:
         effects: names of the effects by their behaviour.
         forms: of the representative model: the named model, or else the most probable one.
-        weight: probability of all these models together, times the share of right names (`RIGHT`).
+        weight: probability of all these models together, as of a `Candidate`.
         error_test: of the representative model, as in a `Candidate`.
         score: of the representative model, as in a `Candidate`.
     """
@@ -287,8 +287,8 @@ class Diagnosis(Tabular):
     @property
     def sentence(self) -> str:
         """The verdict in words."""
-        ends = " to ".join(error_cell(errors[1]) for errors in (self.error, self.error_after))
-        fall = f"the error on experiments that were not used goes from {ends}"
+        change = error_change(*(error_cell(errors[1]) for errors in (self.error, self.error_after)))
+        fall = f"the error on experiments that were not used {change}"
         named = " and ".join(self.called(e) + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects)
         errors = f"error {self.error[0]:.3f}, noise {self.noise_floor:.3f}"
         if self.verdict == "adequate":

@@ -124,6 +124,17 @@ def material(noise: float, before: float, now: float) -> float:
     return min(MATERIAL * max(before**2 - noise**2, 0.0), noise**2 + MATERIAL * max(now**2 - noise**2, 0.0))
 
 
+def explained_share(noise: float, before: float, after: float) -> float:
+    """Share of the squared error of the first model beyond the noise that another model removes, from 0 to 1.
+
+    Arguments:
+        noise, before: as in `material`.
+        after: error of the other model.
+    """
+    beyond = max(before**2 - noise**2, 0.0)
+    return float(np.clip(1 - max(after**2 - noise**2, 0.0) / beyond, 0.0, 1.0)) if beyond else 1.0
+
+
 def folds_of(used: Bool[np.ndarray, "n J"], groups: np.ndarray) -> Folds:
     """The folds: more than two experiments are left out in turn, in six groups at most.
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.criticism.prediction import error_cell, error_change
 from hsed_jax.discovery.formulas import Formula
 from hsed_jax.discovery.places import Place
 from hsed_jax.drafts import write_whole
@@ -202,7 +202,7 @@ class Discovery(Tabular):
         beside = f" beside {' and '.join(self.effects)}" if self.effects else ""
         return (
             f"learned{beside}: {self.place.words}, {self.formula} (probability {cell(self.probability)}); the error on "
-            f"experiments that were not used goes from {error_cell(self.error[1])} to {error_cell(self.error_test)}"
+            f"experiments that were not used {error_change(error_cell(self.error[1]), error_cell(self.error_test))}"
         )
 
     def summary(self) -> dict[str, Any]:

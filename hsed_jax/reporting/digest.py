@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from hsed_jax.criticism.prediction import error_cell
+from hsed_jax.criticism.prediction import error_cell, error_change
 from hsed_jax.physics.effects import called
 from hsed_jax.reporting import style
 from hsed_jax.reporting.finished import SPLITS, FinishedRun
@@ -80,8 +80,8 @@ def _improved(summary: Mapping[str, Any]) -> str:
         key, which = "error_test", "experiments that were not used"
     sizes = last.get("parameters", {})
     added = " and ".join(style.words(called(effect, sizes)) for effect in last["effects"])
-    errors = f"{error_text(first, key)} to {error_text(last, key)}"
-    said = f"With {added} the error on {which} goes from {errors} (noise {improvement['noise_floor']:.3f})."
+    change = error_change(error_text(first, key), error_text(last, key))
+    said = f"With {added} the error on {which} {change} (noise {improvement['noise_floor']:.3f})."
     if "p_value" not in comparison:
         return f"{said} No noise is declared, so it is unknown whether the noise explains the rest."
     return f"{said} The noise {'explains' if comparison['adequate'] else 'does not explain'} the rest."
