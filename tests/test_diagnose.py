@@ -507,6 +507,17 @@ def with_one(values, column, sigma):
     return top + math.log(np.trapezoid(np.exp(log_densities - top), sizes))
 
 
+@pytest.mark.parametrize("size", [0.06, 0.1, 0.14])
+def test_where_the_noise_explains_the_best_fit_the_probabilities_are_those_of_bayes(size):
+    values = data_of(4, effect_2=size)
+    search = found_in(values, is_explained=lambda fit: True)
+    assert search.by_evidence
+    sigma, without, named = float(search.standard.errors[0]), search.model(()), search.model({"effect_2"})
+    odds = math.exp(with_one(values, 4, sigma) - log_density(values, sigma)) / K
+    # Of one effect out of K, the prior is 1/4K; of none, it is 1/2.
+    assert named.probability / without.probability == pytest.approx(odds / 2, rel=0.05)
+
+
 def test_sets_of_one_size_share_their_probability():
     search = found_in(data_of(0, effect_3=0.5, effect_5=0.4))
     priors = {len(m.effects): m.log_posterior - m.log_evidence for m in search.all()}

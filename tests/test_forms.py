@@ -219,7 +219,29 @@ def towards_peak(s, is_sharp=False):
     return np.where(np.sign(s.v) * s.u < own, np.clip(slope, 0.0, 1.0), 1.0)
 
 
+def tendon(s, share):
+    return STRENGTH * share * np.sign(s.u)
+
+
+def slid_back(p, s):
+    """A flag: on unloading it slides back at its own force while it is open."""
+    open_by = np.clip((s.u - s.z / STIFFNESS) * np.sign(s.z) / (0.02 * U), 0.0, 1.0)
+    low = 1 / (1 + np.exp((np.abs(s.z) - p.delta * STRENGTH) / (0.03 * STRENGTH)))
+    return 1 - min(10 * p.delta, 1.0) * np.where(s.v * s.z < 0, open_by * low, 0.0)
+
+
 EQUATIONS = {
+    "self_centering": {
+        "flag": ("h", lambda p, x, s: slid_back(p, s)),
+        "tendon": (
+            "force",
+            lambda p, x, s: p.delta * (tendon(s, 1 - np.exp(-np.abs(s.u) * STIFFNESS / STRENGTH)) - s.z),
+        ),
+        "sharp tendon": (
+            "force",
+            lambda p, x, s: p.delta * (tendon(s, np.minimum(np.abs(s.u) * STIFFNESS / STRENGTH, 1)) - s.z),
+        ),
+    },
     "peak_oriented": {
         "gradual": ("h", lambda p, x, s: 1 - p.delta * np.where(s.z * s.v > 0, 1 - towards_peak(s), 0.0)),
         "sharp": ("h", lambda p, x, s: 1 - p.delta * np.where(s.z * s.v > 0, 1 - towards_peak(s, True), 0.0)),
@@ -507,13 +529,6 @@ def returning(p, s):
     return 1 - p.late * min(4 * abs(p.delta), 1.0) * np.where(loads, 1 - towards_peak(s), 0.0)
 
 
-def slid_back(p, s):
-    """A flag: on unloading it slides back at its own force while it is open."""
-    open_by = np.clip((s.u - s.z / STIFFNESS) * np.sign(s.z) / (0.02 * U), 0.0, 1.0)
-    low = 1 / (1 + np.exp((np.abs(s.z) - p.delta * STRENGTH) / (0.03 * STRENGTH)))
-    return 1 - min(10 * p.delta, 1.0) * np.where(s.v * s.z < 0, open_by * low, 0.0)
-
-
 def first_way(p, s):
     """A spring that is stiff on its first way."""
     reached = np.maximum(np.maximum(s.largest_elongation, np.abs(s.u)), 1e-9 * U)
@@ -522,7 +537,6 @@ def first_way(p, s):
 
 SINGLE = {
     "buckling": {"nu": weakened, "h": returning},
-    "self_centering": {"h": slid_back},
     "scragging": {"force": first_way},
 }
 

@@ -53,6 +53,13 @@ def test_the_gain_is_that_of_a_model_with_the_other_prior(strong):
         assert one.log_evidence_gain[NAMED] != pytest.approx(one.log_evidence_gain_before[NAMED], abs=0.3)
 
 
+def test_a_uniform_prior_gives_limits_and_keeps_its_width():
+    search = searched(data_of(5, **{NAMED: 0.8}), **{NAMED: Prior("uniform", [0.0, 1.0])})
+    assert search.best == {NAMED}
+    for one in told(search):
+        assert one.log_evidence_gain[NAMED] == pytest.approx(one.log_evidence_gain_before[NAMED])
+
+
 def test_a_strong_effect_is_named_with_any_width(strong):
     for one in told(strong):
         assert one.is_same and one.verdict == "missing_effects" and one.effects == (NAMED,)

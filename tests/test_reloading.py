@@ -70,6 +70,20 @@ def test_a_flag_is_that_of_opensees():
     assert np.sqrt(np.mean((force - np.asarray(expected)) ** 2)) < 0.08 * STRENGTH
 
 
+@pytest.mark.parametrize("sharp", [0.0, 1.0])
+def test_a_tendon_beside_the_element_returns_the_way_it_came(sharp):
+    n, turns = 1.0 + 19.0 * sharp, [0.0, 0.04, 0.0, -0.04, 0.0]
+    law = BoucWen(A=A, beta=0.5 * A / STRENGTH**n, gamma=0.5 * A / STRENGTH**n, n=n)
+    u, plain = along(turns, law)
+    force = along(turns, law, self_centering={"delta": 0.6, "tendon": 1.0, "sharp": sharp})[1]
+    # On its first way, the element follows the virgin curve that the tendon never leaves.
+    tendon = np.interp(np.abs(u), u[: STEPS + 1], plain[: STEPS + 1]) * np.sign(u)
+    np.testing.assert_allclose(force, 0.4 * plain + 0.6 * tendon, atol=(1e-4 + 0.03 * sharp) * STRENGTH)
+    back = slice(STEPS, 2 * STEPS + 1)
+    assert np.interp(0.0, plain[back][::-1], u[back][::-1]) > 0.03
+    assert abs(np.interp(0.0, force[back][::-1], u[back][::-1])) < 0.01
+
+
 @pytest.mark.parametrize(("sharp", "largest"), [(0.0, 0.04), (1.0, 0.04), (0.0, 0.7 * YIELD)])
 def test_reloading_goes_straight_to_the_former_peak(sharp, largest):
     n = 1.0 + 19.0 * sharp

@@ -303,7 +303,7 @@ class Fits:
 
     def _worth(self, choice: Choice) -> float:
         """log Z plus the log prior of its forms."""
-        return self._log_evidence(choice) + self.log_share(choice)
+        return self.log_evidence(choice) + self.log_share(choice)
 
     def log_share(self, choice: Choice) -> float:
         """Log prior probability of the forms of a choice among all forms of their effects."""
@@ -315,7 +315,8 @@ class Fits:
             return 0.0
         return -math.log(2) if self._form(pair).form.is_default else -math.log(2 * others)
 
-    def _log_evidence(self, choice: Choice) -> float:
+    def log_evidence(self, choice: Choice) -> float:
+        """Log evidence of a choice, without the prior of its forms [nats]."""
         fit = self._known[choice]
         if choice not in self._evidence or self._evidence[choice][0] is not fit:
             self._evidence[choice] = (fit, laplace(fit, self.models))
@@ -325,6 +326,11 @@ class Fits:
 def names_of(choice: Choice) -> Set:
     """The effects of a choice."""
     return frozenset(effect for effect, _ in choice)
+
+
+def less_one(effects: Set) -> list[Set]:
+    """The sets with one effect fewer, in the same order in every process: the names of stored fits depend on this order."""
+    return [effects - {effect} for effect in sorted(effects)]
 
 
 def spread(parameters: int, each: int = 2) -> np.ndarray:

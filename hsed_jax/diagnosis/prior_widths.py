@@ -8,12 +8,13 @@ $$\varphi_s(x) = c + g^\top(x-\hat x) + \tfrac12 (x-\hat x)^\top H (x-\hat x) - 
 and the stretched densities $p_s$ are exact.  The minimum of φ_s gives the evidence by Laplace's method.  The same expansion for
 the data of each fold gives the change of the fit to this fold, and the derivatives give the change of its predictions.
 
-Another explanation leads at a width if it meets the conditions of a verdict: its odds by the score against the named explanation
-are at least those that an effect needs, and its evidence with its prior is not less.  Then the verdict is ambiguous.  A verdict
-that changes without such a leader is a caution: an effect may lose its support although no other explanation is better.
+Another explanation leads at a width if it meets the conditions of a verdict: its odds against the named explanation (by the
+score, or by the evidence where that is the measure) are at least those that an effect needs, and its evidence with its prior is
+not less.  Then the verdict is ambiguous.  A verdict that changes without such a leader is a caution: an effect may lose its
+support although no other explanation is better.
 
-A wider prior does not extend the bounds, because no simulation is beyond them.  If a fit is on a bound, the evidence with a
-wider prior is therefore a lower limit.
+A uniform prior gives limits and no scale, so it keeps its width.  A wider prior does not extend the bounds, because no
+simulation is beyond them.  If a fit is on a bound, the evidence with a wider prior is therefore a lower limit.
 """
 
 # SciPy comes without types.
@@ -158,18 +159,19 @@ class _Stretching:
         self._count = len(scored)
         named = best.effects or frozenset(search.effects)
         forms = [form for effect in named for form in search.effects[effect].values()]
-        self._columns = np.unique(np.concatenate([form.columns for form in forms])).astype(int)
+        priors, columns = list(search.models.box.priors.values()), np.concatenate([form.columns for form in forms])
+        self._columns = np.asarray([k for k in np.unique(columns) if priors[int(k)].name != "uniform"], dtype=int)
         neutral, self._about = search.models.neutral, np.zeros(len(search.models.neutral))
         amplitudes = np.unique([int(form.columns[0]) for form in forms])
         self._about[amplitudes] = np.where(np.isfinite(neutral[amplitudes]), neutral[amplitudes], 0.0)
         self._priors = np.asarray([m.log_posterior - m.log_evidence for m in self._models])
         self._plain = self._evidence(self._box(1.0))
-        self._plain_weights = self._weights(self._densities(1.0))
+        self._plain_weights = self._weights(self._densities(1.0, np.zeros(len(self._models))))
 
     def at(self, width: float) -> _State:
         """The probabilities of the models with priors of this width."""
         evidence = self._evidence(self._box(width)) - self._plain
-        densities = self._densities(width)
+        densities = self._densities(width, evidence)
         weights = self._weights(densities)
         # Only the change by the width is computed here; it is applied to the probabilities over all forms.
         shares = np.asarray([m.probability for m in self._models])
@@ -214,9 +216,11 @@ class _Stretching:
     def _weights(self, densities: Float[np.ndarray, "M P"]) -> Float[np.ndarray, " M"]:
         return weights_of(densities, self._priors)
 
-    def _densities(self, width: float) -> Float[np.ndarray, "M P"]:
-        """Log densities of the held-out data, by model and piece."""
+    def _densities(self, width: float, change: Float[np.ndarray, " M"]) -> Float[np.ndarray, "M P"]:
+        """Log densities of the held-out data, by model and piece; log evidence, changed by the width, if that is the measure."""
         search = self._search
+        if search.by_evidence:
+            return (np.asarray([m.log_evidence for m in self._models]) + change)[:, None]
         fits, box, plain = [m.fit for m in self._models], self._box(width), self._box(1.0)
         moved = None if width == 1.0 else [moved_by(search, fit, plain, box) for fit in fits]
         return search.held_out.densities(search.standard.target, fits, moved)

@@ -42,12 +42,13 @@ def amplitude_of(forms: Forms) -> tuple[int, Mapping[int, float]]:
 
 
 def of_simplest_shape(forms: Forms) -> list[str]:
-    """The forms with the shape of the default form and any driver that has no parameters of its own."""
+    """The forms with no more parameters than the default one: with the default driver, or in the shape of the default form."""
     default = next(iter(forms.values()))
     return [
         label
         for label, form in forms.items()
-        if form.form.name == default.form.name and len(form.columns) == len(default.columns)
+        if len(form.columns) <= len(default.columns)
+        and (form.form.name == default.form.name or form.form.driver == default.form.driver)
     ]
 
 

@@ -2,9 +2,9 @@ r"""The set of effects that the measurements support: a search over nested model
 
 Forward steps add the effect with the best support.  After each step, all models one change away are fitted (one effect fewer, one
 more, one exchanged for another or for a pair), so that a wrong step can be reversed.  The evidence of the fits selects the models
-to score.  The score alone decides: the log density of data that a model was not fitted to (`hsed_jax.diagnosis.score`).  Sets of
-k out of K effects share the prior probability of their size, $2^{-k-1}/\binom{K}{k}$, so that a catalogue of thirty candidates
-does not favour a false effect.
+to score: by the log density of data that a model was not fitted to (`hsed_jax.diagnosis.score`), or by the evidence if the noise
+explains the best fit.  A further effect always needs the score.  Sets of k out of K effects share the prior probability of their
+size, $2^{-k-1}/\binom{K}{k}$, so that a catalogue of thirty candidates does not favour a false effect.
 
 **The errors of the models are estimated, not assumed.**  No specimen follows a textbook formula exactly.  All models of a round
 are therefore judged with the same errors: the error of an output is the declared one or the residual of the best model, whichever
@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hsed_jax.diagnosis.fit_state import FitState, Target, Task
-from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, names_of
+from hsed_jax.diagnosis.fits import Choice, Fits, Model, Set, less_one, names_of
 from hsed_jax.diagnosis.measured import Measured, Standard
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
@@ -59,8 +59,8 @@ class Search:
         is_explained: whether the noise explains the size of the residual of a fit; if it does, an effect is added only if a
             score test is significant.
         report: receives the current activity, for a progress bar.
-        test: experiments that are never fitted; their rows follow those of the measured ones.  An effect is not named if the
-            model with it predicts them worse than the first model (without effects).
+        test: experiments that are never fitted, in the rows after the measured ones.  An effect is not named if the model with it
+            predicts them worse than the first model (without effects).
         start: known x of the first model, (P,): one of the starts of its fit.
 
     Attributes:
@@ -114,7 +114,7 @@ class Search:
                 self._fit_pairs()
                 self._deepen([*around, *self._pairs])
             self._judge()
-            if not self.best and not self._is_explained(self._lowest()):
+            if not self.best and not self.by_evidence:
                 self._report("every effect beside any law")
                 rows = telling(self.standard.target, self._fits.best(self.best))
                 self._fits.look_all_over(self.standard.target, rows)
@@ -134,8 +134,9 @@ class Search:
 
     def adopt(self, coarse: "Search") -> None:
         """Judge the sets of a search over fewer experiments: the best one (also less one effect), its path, the leading ones."""
-        leading = [m.effects for m in coarse.all()[:_AGAIN]]
-        sets = dict.fromkeys([coarse.best, *_less_one(coarse.best), *coarse.path, *leading])
+        sets = dict.fromkeys(
+            [coarse.best, *less_one(coarse.best), *coarse.path, *(m.effects for m in coarse.all()[:_AGAIN])]
+        )
         choices = {coarse._fits.top(s): [coarse._fits.best(s).x] for s in sets if s}
         self._fits.fit(self.standard.target, choices, choices)
         self.best, self.path = coarse.best, coarse.path
@@ -151,6 +152,11 @@ class Search:
         """The fitted models around the best set whose simulations succeed, the most probable first."""
         found = [m for m in map(self.model, self._around()) if math.isfinite(m.fit.cost)]
         return sorted(found, key=lambda m: (-m.probability, -m.log_posterior))
+
+    @property
+    def by_evidence(self) -> bool:
+        """Whether the noise explains the best fit: then no model is wrong as far as the data show, and the evidence is exact."""
+        return self._is_explained(self._lowest())
 
     def unseen(self, chosen: Sequence[Set]) -> list[float]:
         """Error of several sets on the experiments that are never fitted; without any, on data that are left out in turn."""
@@ -189,8 +195,8 @@ class Search:
         return self._unsupported(larger, here)
 
     def _smallest_that_predicts(self) -> Set:
-        """The smallest set of the path whose error on the test experiments is the least one, up to a difference that is not
-        material.  The choice is made last: one effect may predict worse than the plain law, and better with a second effect."""
+        """The smallest set of the path whose test error is the least one, up to a difference that is not material.  The choice is
+        made last: one effect may predict worse than the plain law, and better with a second effect."""
         unseen = self.unseen(self.path)
         limit = min(unseen) ** 2 + material(self.measured.noise, unseen[0], min(unseen))
         return min((s for s, error in zip(self.path, unseen, strict=True) if error**2 <= limit), key=len)
@@ -228,7 +234,7 @@ class Search:
         self.best = instead
         self.path.append(instead)
         # The ranking compares the set with the sets that lack one of its effects.
-        self._fits.fit(self.standard.target, [self._in_forms(less) for less in _less_one(instead)])
+        self._fits.fit(self.standard.target, [self._in_forms(less) for less in less_one(instead)])
         self._score(is_over=True)
         return True
 
@@ -270,8 +276,7 @@ class Search:
         self._fits.fit(target, starts, starts)
 
     def _fit_pairs(self) -> None:
-        """Fit pairs of effects instead of the one effect of the best set, if it leaves more than the noise: one wrong effect may
-        have replaced two."""
+        """Fit pairs in place of the one effect of the best set, if that leaves more than the noise: one may have replaced two."""
         self._pairs = []
         if len(self.best) != 1 or self._is_explained(self._fits.best(self.best)):
             return
@@ -318,20 +323,21 @@ class Search:
             self._fits.look_again(self.standard.target, [self._fits.top(s) for s in first])
 
     def _score(self, is_over: bool = False) -> None:
-        """Give the leading choices their probabilities, from their scores.
+        """Give the leading choices their probabilities, from their scores or their evidence.
 
         All other choices have none, and neither has a choice that predicts the test experiments worse than the first model.  When
         the search `is_over`, larger sets than the best one are rejected ones, and count only if they contain its effects.
         """
         self._report("what they predict of what is left out")
-        near = [s for s in (Set(), self.best, *_less_one(self.best)) if s in self._fits]
+        near = [s for s in (Set(), self.best, *less_one(self.best)) if s in self._fits]
         always = [self._fits.top(s) for s in near]
         counted = [s for s in self._around() if not is_over or len(s) <= max(len(self.best), 1) or s > self.best]
         ranked = sorted(map(self.model, counted), key=lambda m: -m.log_posterior)
         likely = [choice for m in ranked[:_POOL] for choice in self._fits.likeliest(m.effects, _FORMS)]
         pool = list(dict.fromkeys([*always, *likely]))
         fits = [self._fits[choice] for choice in pool]
-        densities = self.held_out.densities(self.standard.target, fits)
+        evidence = [[self._fits.log_evidence(choice)] for choice in pool]
+        densities = np.asarray(evidence) if self.by_evidence else self.held_out.densities(self.standard.target, fits)
         if self.held_out.test is not None:
             unseen = np.asarray(self.held_out.unseen(self.standard.target, fits))
             densities[unseen > unseen[pool.index(frozenset())]] = -np.inf
@@ -340,15 +346,14 @@ class Search:
 
     def _next(self) -> Set:
         """The next set: the most probable one that the measurements support."""
-        for model in self.all()[:_TRIED]:
-            if len(model.effects) <= len(self.best) or self._unsupported(model.effects, self.best) is None:
-                return model.effects
-        return self.best
+        sets = (m.effects for m in self.all()[:_TRIED])
+        supported = (s for s in sets if len(s) <= len(self.best) or self._unsupported(s, self.best) is None)
+        return next(supported, self.best)
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best one."""
         best, others = self.best, [e for e in self.effects if e not in self.best]
-        fewer = _less_one(best)
+        fewer = less_one(best)
         exchanged = [rest | {new} for rest in fewer for new in others]
         more = [best | {new} for new in others] if self._may_grow() else []
         return [best, *fewer, *exchanged, *more]
@@ -389,11 +394,6 @@ class Search:
 
     def _log_prior(self, size: int) -> float:
         return -(size + 1) * math.log(2) - math.log(math.comb(len(self.effects), size))
-
-
-def _less_one(effects: Set) -> list[Set]:
-    """The sets with one effect fewer, in the same order in every process: the names of stored fits depend on this order."""
-    return [effects - {effect} for effect in sorted(effects)]
 
 
 def _text(effects: Set) -> str:

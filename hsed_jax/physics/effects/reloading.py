@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from hsed_jax.physics.effects.base import AbstractSpringEffect, Form, Scalar, SpringPoint, register
 from hsed_jax.physics.parameters import parameter, share_parameter
-from hsed_jax.physics.scales import is_zero
+from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.physics.states import LARGEST_COMPRESSION, LARGEST_TENSION, SharedState
 
 # Over the strength, within which unloading goes over into sliding back; over the characteristic elongation, within which what has
@@ -21,6 +21,13 @@ _LEFT = 1e-6
 _AT_ONCE = 4.0
 
 
+def _virgin(point: SpringPoint, elongation: Scalar, sharp: Scalar = 0.0) -> Scalar:
+    """Force of the virgin element at an elongation to one side, over its strength: of a gradual or of a sharp yielding."""
+    over_yielding = elongation * point.stiffness / point.strength
+    gradual = -jnp.expm1(-over_yielding)
+    return gradual if is_zero(sharp) else gradual + sharp * (jnp.minimum(over_yielding, 1.0) - gradual)
+
+
 def _towards_peak(point: SpringPoint, sharp: Scalar = 0.0) -> Scalar:
     """Slope to the virgin curve at the largest elongation on the side of loading, over the slope of the element, at most 1."""
     tension, compression = point.memory["largest_tension"], point.memory["largest_compression"]
@@ -28,11 +35,11 @@ def _towards_peak(point: SpringPoint, sharp: Scalar = 0.0) -> Scalar:
     yielding, force = point.strength / point.stiffness, jnp.abs(point.hysteretic) / point.strength
     # A side that was hardly reached has the peak of the other side, up to its yield point.
     peak, forth = jnp.maximum(own, jnp.minimum(other, yielding)), jnp.sign(point.rate) * point.elongation
-    at_peak, left = -jnp.expm1(-peak / yielding), jnp.maximum(1 - force, _LEFT)
+    left = jnp.maximum(1 - force, _LEFT)
     if not is_zero(sharp):
-        at_peak = at_peak + sharp * (jnp.minimum(peak / yielding, 1.0) - at_peak)
         left = left + sharp * (1 - left)
-    slope = (at_peak - force) * yielding / (jnp.maximum(peak - forth, _LEFT * yielding) * left)
+    aim = _virgin(point, peak, sharp) - force
+    slope = aim * yielding / (jnp.maximum(peak - forth, _LEFT * yielding) * left)
     return jnp.where(forth < own, jnp.clip(slope, 0.0, 1.0), 1.0)
 
 
@@ -46,29 +53,50 @@ class SelfCentering(AbstractSpringEffect):
 
     with the strength $z_u$ of the element.  It unloads to $\delta z_u$, slides back at this force until the opening w is closed,
     and unloads to the origin.  1 − δ is the β of a flag.
+
+    In the forms with a tendon, the share δ of the element returns the way it came, and the rest has its loop:
+
+    $$f = (1 - \delta)\,z + \delta\,z_u\big(1 - e^{-k_0|\Delta u|/z_u}\big)\,\mathrm{sign}\,\Delta u.$$
+
+    The first loading does not change.  The loop is open at the origin, where the flag is closed.
     """
 
     name: ClassVar[str] = "self_centering"
     family: ClassVar[str] = "recentring"
     reference: ClassVar[str] = "Christopoulos, Filiatrault & Folz 2002"
+    forms: ClassVar[tuple[Form, ...]] = (
+        Form("flag"),
+        Form("tendon", r"f = (1 - \delta)\,z + \delta\,z_u(1 - e^{-k_0|\Delta u|/z_u})\,\mathrm{sign}\,\Delta u",
+             held={"tendon": 1.0}),
+        Form("sharp tendon", r"f = (1 - \delta)\,z + \delta\min(k_0|\Delta u|, z_u)\,\mathrm{sign}\,\Delta u",
+             held={"tendon": 1.0, "sharp": 1.0}),
+    )  # fmt: skip
 
     delta: Scalar = parameter(
         r"\delta_o",
         "1",
-        "force of sliding back over strength",
+        "force of sliding back over strength, or share of the element that returns the way it came",
         neutral=0.0,
         lower=0.0,
         upper=1.0,
         prior={"uniform": [0.0, 1.0]},
     )
+    tendon: Scalar = share_parameter("w_t", "whether a share of the element is a tendon")
+    sharp: Scalar = share_parameter("w", "whether the tendon yields at once")
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """A factor on `h`."""
-        z = point.hysteretic
-        opened = (point.elongation - z / point.stiffness) * jnp.sign(z) / (_CLOSED * point.scales.elongation)
-        slides = jax.nn.sigmoid((self.delta - jnp.abs(z) / point.strength) / _ROUNDED)
-        back = jnp.where(point.rate * z < 0, slides * jnp.clip(opened, 0.0, 1.0), 0.0)
-        return {"h": 1 - jnp.minimum(_WHOLE * self.delta, 1.0) * back}
+        """A factor on `h`, and a force."""
+        u, z = point.elongation, point.hysteretic
+        found: dict[str, Scalar] = {}
+        if not is_number(self.tendon, 1):
+            opened = (u - z / point.stiffness) * jnp.sign(z) / (_CLOSED * point.scales.elongation)
+            slides = jax.nn.sigmoid((self.delta - jnp.abs(z) / point.strength) / _ROUNDED)
+            back = jnp.where(point.rate * z < 0, slides * jnp.clip(opened, 0.0, 1.0), 0.0)
+            found["h"] = 1 - (1 - self.tendon) * jnp.minimum(_WHOLE * self.delta, 1.0) * back
+        if not is_zero(self.tendon):
+            tendon = point.strength * _virgin(point, jnp.abs(u), self.sharp) * jnp.sign(u)
+            found["force"] = self.tendon * self.delta * (tendon - z)
+        return found
 
 
 @register
