@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from builders.dictionary import EFFECTS, FUNCTIONS, SIGMA, Dictionary, J, K, N, data_of, search_of
 
-from hsed_jax.diagnosis.propose import predicted_gains_of
+from hsed_jax.diagnosis.problem import FormColumns
+from hsed_jax.diagnosis.propose import beside, predicted_gains_of
 from hsed_jax.diagnosis.scores import telling
+from hsed_jax.physics.effects.base import Form
 
 
 class Absorbing(Dictionary):
@@ -51,6 +53,21 @@ def test_an_effect_that_the_law_nearly_absorbs_is_proposed_first_where_the_noise
         max(gains, key=lambda effect: gains[effect]) == "effect_0" == max(search.scores, key=search.scores.__getitem__)
     )
     assert gains["effect_0"] > 2 * gains_of(search, is_explained=False)["effect_0"]
+
+
+def test_forms_with_no_more_parameters_than_the_default_one_are_proposed_too():
+    search = search_of(data_of(4, effect_1=0.5))
+    fixed, other, wider = (np.array(columns) for columns in ([2], [3], [4, 5]))
+    forms = {
+        "": FormColumns(Form(is_default=True), fixed, {}),
+        "other": FormColumns(Form("other"), other, {}),
+        "wider": FormColumns(Form("wider"), wider, {}),
+    }
+    found = predicted_gains_of(search.models, search.standard.target, search.model(()).fit, {"effect": forms})
+    assert list(found["effect"]) == ["", "other"]
+    assert found["effect"]["other"][0].gain > 10 * max(found["effect"][""][0].gain, 1.0)
+    chosen = beside(found, frozenset(), is_best=True)
+    assert list(chosen) == [frozenset({("effect", "")}), frozenset({("effect", "other")})]
 
 
 def test_the_experiments_that_propose_have_half_of_the_residual_and_enough_values():

@@ -41,7 +41,7 @@ def amplitude_of(forms: Forms) -> tuple[int, Mapping[int, float]]:
     return int(form.columns[0]), form.held
 
 
-def of_simplest_shape(forms: Forms) -> list[str]:
+def of_fewest_parameters(forms: Forms) -> list[str]:
     """The forms with no more parameters than the default one: with the default driver, or in the shape of the default form."""
     default = next(iter(forms.values()))
     return [

@@ -1,4 +1,4 @@
-"""Selection of the effects to fit beside a fitted model, in the shape of their default forms, and of their starts."""
+"""Selection of the effects to fit beside a fitted model, in their forms with the fewest parameters, and of their starts."""
 
 from collections.abc import Mapping, Sequence
 
@@ -10,20 +10,20 @@ from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms
 from hsed_jax.diagnosis.scores import Linearisation, PredictedGain, telling
 
-# Number of effects to fit, and number of drivers of each beside its default one; both have the largest predicted gains.
-_REACH, _DRIVERS = 8, 2
+# Number of effects to fit, and number of forms of each beside its default one; both have the largest predicted gains.
+_REACH, _FORMS = 8, 2
 # Number of starts of each fit.
 _STARTS = 2
 
 PredictedGains = Mapping[str, Mapping[str, list[PredictedGain]]]
-"""Predicted gains by effect, the effect with the largest one first, and by driver."""
+"""Predicted gains by effect, the effect with the largest one first, and by form."""
 
 Proposals = Mapping[Choice, list[np.ndarray]]
 """Choices to fit, and the starts of their fits."""
 
 
 def beside(predicted_gains: PredictedGains, top: Choice, is_best: bool) -> Proposals:
-    """Choices with one effect beside a fitted model: the effects with the largest predicted gains, with their best drivers.
+    """Choices with one effect beside a fitted model: the effects with the largest predicted gains, in their best forms.
 
     Arguments:
         predicted_gains: of the candidates beside the model.
@@ -32,13 +32,13 @@ def beside(predicted_gains: PredictedGains, top: Choice, is_best: bool) -> Propo
             proposed, because a set with an exchanged effect is examined again when it is the best one.
     """
     ranked = list(predicted_gains)
-    reach, starts, drivers = (_REACH, _STARTS, _DRIVERS) if is_best else (_REACH // 2, 1, 1)
+    reach, starts, others = (_REACH, _STARTS, _FORMS) if is_best else (_REACH // 2, 1, 1)
     chosen: dict[Choice, list[np.ndarray]] = {}
     for effect in ranked[:reach]:
         default, *further = predicted_gains[effect]
-        # A poor trial does not rule a driver out, so the default driver is always among the proposals.
+        # A poor trial does not rule a form out, so the default one is always among the proposals.
         further.sort(key=lambda label: -predicted_gains[effect][label][0].gain)
-        for label in (default, *further[:drivers]):
+        for label in (default, *further[:others]):
             chosen[top | {(effect, label)}] = [p.start for p in predicted_gains[effect][label][:starts]]
     return chosen
 

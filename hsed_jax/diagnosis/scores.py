@@ -30,7 +30,7 @@ from scipy.special import chdtrc
 from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target
 from hsed_jax.diagnosis.fits import spread
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.diagnosis.problem import Forms, of_simplest_shape
+from hsed_jax.diagnosis.problem import Forms, of_fewest_parameters
 
 # Step of a finite difference, in coordinates of order one.
 _STEP = 1e-3
@@ -122,7 +122,7 @@ class Linearisation:
         return found
 
     def of_places(self, effects: Mapping[str, Forms], are_small: bool) -> dict[str, dict[str, list[PredictedGain]]]:
-        """Predicted gains by effect and driver, in the shape of the default form, at several sizes, the largest first.
+        """Predicted gains by effect and form, for the forms with the fewest parameters, at several sizes, the largest first.
 
         Arguments:
             effects: the candidates.
@@ -130,7 +130,7 @@ class Linearisation:
         """
         trials: list[tuple[str, str, Trial]] = []
         for effect, forms in effects.items():
-            for label in of_simplest_shape(forms):
+            for label in of_fewest_parameters(forms):
                 form = forms[label]
                 submodel, size = self._fit.submodel.beside(form.columns, form.held), int(form.columns[0])
                 for x in self._models.box.quantiles(form.columns, spread(len(form.columns), _TRIALS)):
