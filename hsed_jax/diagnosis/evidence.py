@@ -14,6 +14,7 @@ Source: Tierney & Kadane 1986.
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.special import log_ndtr
 
 from hsed_jax.diagnosis.box import Box
@@ -147,23 +148,37 @@ def gaussian(fit: FitState, box: Box) -> tuple[np.ndarray, np.ndarray]:
     return found.x, 0.5 * (covariance + covariance.T)
 
 
-def _minimum(fit: FitState, box: Box) -> _Minimum:
-    """The minimum of the quadratic within the box: what would leave the box stays on its bound, and the others adapt to that."""
-    low, high, start = box.low[fit.free], box.high[fit.free], fit.x[fit.free]
-    hessian = fit.hessian + _FLOOR * np.eye(len(start))
-    x, gradient = start.copy(), fit.gradient
-    is_held = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+def quadratic_minimum(
+    gradient: Float[np.ndarray, " p"],
+    hessian: Float[np.ndarray, "p p"],
+    low: Float[np.ndarray, " p"],
+    high: Float[np.ndarray, " p"],
+) -> tuple[Float[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
+    r"""The step d from a point to the minimum of $g^\top d + d^\top H d/2$ within bounds, and the coordinates on a bound.
+
+    What would leave the bounds stays on its bound, and the others adapt to that.
+    """
+    step, slope = np.zeros(len(gradient)), gradient
+    is_held = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
     while not is_held.all():
-        loose, moved = np.flatnonzero(~is_held), x.copy()
-        moved[loose] -= np.linalg.solve(hessian[np.ix_(loose, loose)], gradient[loose])
+        loose, moved = np.flatnonzero(~is_held), step.copy()
+        moved[loose] -= np.linalg.solve(hessian[np.ix_(loose, loose)], slope[loose])
         is_beyond = (moved < low) | (moved > high)
-        x = np.where(is_beyond, np.clip(moved, low, high), x) if is_beyond.any() else moved
-        gradient = fit.gradient + hessian @ (x - start)
+        step = np.where(is_beyond, np.clip(moved, low, high), step) if is_beyond.any() else moved
+        slope = gradient + hessian @ step
         if not is_beyond.any():
             break
         is_held = is_held | is_beyond
-    step = x - start
-    return _Minimum(x, fit.cost + float(fit.gradient @ step + 0.5 * step @ hessian @ step), gradient, hessian, is_held)
+    return step, is_held
+
+
+def _minimum(fit: FitState, box: Box) -> _Minimum:
+    low, high, start = box.low[fit.free], box.high[fit.free], fit.x[fit.free]
+    hessian = fit.hessian + _FLOOR * np.eye(len(start))
+    step, is_held = quadratic_minimum(fit.gradient, hessian, low - start, high - start)
+    x = np.clip(start + step, low, high)
+    cost = fit.cost + float(fit.gradient @ step + 0.5 * step @ hessian @ step)
+    return _Minimum(x, cost, fit.gradient + hessian @ step, hessian, is_held)
 
 
 def _costs(fit: FitState, models: NestedModels, target: Target, points: np.ndarray) -> np.ndarray:

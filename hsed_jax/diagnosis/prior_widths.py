@@ -17,21 +17,15 @@ A uniform prior gives limits and no scale, so it keeps its width.  A wider prior
 simulation is beyond them.  If a fit is on a bound, the evidence with a wider prior is therefore a lower limit.
 """
 
-# SciPy comes without types.
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import solve_triangular
-from scipy.optimize import lsq_linear
 
 from hsed_jax.diagnosis.box import Box, Terms
-from hsed_jax.diagnosis.evidence import laplace
+from hsed_jax.diagnosis.evidence import laplace, quadratic_minimum
 from hsed_jax.diagnosis.findings import PriorWidth
 from hsed_jax.diagnosis.fit_state import FitState
 from hsed_jax.diagnosis.fits import Model
@@ -309,11 +303,9 @@ def _least(misfit: _Misfit, fit: FitState, box: Box) -> Float[np.ndarray, " P"]:
     for _ in range(_STEPS if len(free) else 0):
         terms = box.terms(x, free)
         gradient = misfit.gradient + misfit.hessian @ (x - fit.x)[free] - terms.slope
-        root = np.linalg.cholesky(misfit.hessian + np.diag(terms.curvature + _FLAT))
+        hessian = misfit.hessian + np.diag(terms.curvature + _FLAT)
         bounds = np.clip(low - x[free], -_LONGEST, 0.0), np.clip(high - x[free], 0.0, _LONGEST)
-        # The bounds of this least-squares problem must not coincide.
-        room = np.maximum(bounds[1] - bounds[0], 1e-12)
-        step = lsq_linear(root.T, -solve_triangular(root, gradient, lower=True), (bounds[0], bounds[0] + room)).x
+        step, _ = quadratic_minimum(gradient, hessian, *bounds)
         x[free] = np.clip(x[free] + step, low, high)
         if np.max(np.abs(step)) < _SETTLED:
             break
