@@ -450,6 +450,22 @@ def test_an_effect_may_predict_the_test_split_worse_on_the_way_to_a_set_that_pre
     assert "not used" in found.obstacle(frozenset({"effect_3", "effect_5"}), frozenset({"effect_3"}))
 
 
+@pytest.mark.parametrize("is_explained", [True, False])
+def test_of_sets_of_one_size_a_few_test_experiments_do_not_decide_where_the_noise_explains_the_best(is_explained):
+    values = data_of(3, effect_3=0.6)
+    there = np.einsum("k,knj->nj", np.concatenate([[1.5, -0.7], 0.6 * (np.arange(K) == 1)]), FUNCTIONS)
+    models = NestedModels(Dictionary(np.concatenate([FUNCTIONS, FUNCTIONS], axis=1)), BOX, np.zeros(2 + K))
+    # The test experiments are those of another effect.
+    found = Search(models, measured_of(values), LAW, EFFECTS, lambda fit: is_explained, test=measured_of(there))
+    found.start()
+    best, other = frozenset({"effect_3"}), frozenset({"effect_1"})
+    found._fits.fit(found.standard.target, [frozenset({(effect, "")}) for effect in ("effect_1", "effect_3")])
+    found.best, found.path = best, [frozenset(), other, best]
+    found._fits.best(other).x[COLUMNS["effect_1"]] = 0.6
+    assert found.unseen([other])[0] < found.unseen([best])[0]
+    assert found._smallest_that_predicts() == (best if is_explained else other)
+
+
 def test_no_model_fits_worse_than_one_that_it_contains_or_than_a_larger_one_without_its_effect():
     search = found_in(data_of(0, effect_3=0.5))
     known, none, larger = search._fits._known, frozenset(), frozenset({("effect_3", "")})

@@ -195,11 +195,12 @@ class Search:
         return self._unsupported(larger, here)
 
     def _smallest_that_predicts(self) -> Set:
-        """The smallest set of the path whose test error is the least one, up to a difference that is not material.  The choice is
-        made last: one effect may predict worse than the plain law, and better with a second effect."""
-        unseen = self.unseen(self.path)
+        """The smallest set of the path with the least test error, up to what is not material or noise.  The choice is made last:
+        one effect may predict worse than the plain law, and better with a second effect."""
+        unseen, is_noise = self.unseen(self.path), self._is_explained(self._fits.best(self.best))
         limit = min(unseen) ** 2 + material(self.measured.noise, unseen[0], min(unseen))
-        return min((s for s, error in zip(self.path, unseen, strict=True) if error**2 <= limit), key=len)
+        alike = [s for s, e in zip(self.path, unseen, strict=True) if e**2 <= limit or (is_noise and s == self.best)]
+        return min(alike, key=lambda s: (len(s), s != self.best))
 
     def _unsupported(self, larger: Set, here: Set) -> str | None:
         """The reason why the fitted measurements do not support a set with more effects than another one; None without one."""
@@ -346,9 +347,8 @@ class Search:
 
     def _next(self) -> Set:
         """The next set: the most probable one that the measurements support."""
-        sets = (m.effects for m in self.all()[:_TRIED])
-        supported = (s for s in sets if len(s) <= len(self.best) or self._unsupported(s, self.best) is None)
-        return next(supported, self.best)
+        sets = [m.effects for m in self.all()[:_TRIED]]
+        return next((s for s in sets if len(s) <= len(self.best) or self._unsupported(s, self.best) is None), self.best)
 
     def _neighbours(self) -> list[Set]:
         """The sets one change away from the best one."""
