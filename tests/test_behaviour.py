@@ -100,6 +100,20 @@ def test_a_stiffness_that_falls_exponentially_is_named_for_it(histories):
     assert found.names[0] == "stiffness_degradation"
 
 
+def test_a_whole_loop_that_falls_has_the_names_of_stiffness_and_of_strength(histories):
+    law = elastoplastic(histories)
+    path = np.abs(np.diff(histories.elongation[:, ::2], axis=1, prepend=0.0)).cumsum(axis=1)
+    found = named(histories, law * DAMAGED["path"](0.0, path, 0.0), law)
+    assert found is not None
+    assert (found.change, found.driver) == ("falls", "path")
+    assert found.names == ("stiffness_degradation", "strength_degradation")
+    # Such a behaviour does not tell one from the other, but it is not one near zero force only.
+    assert [called(e, found) for e in ("strength_degradation", "pinching")] == [
+        "strength_degradation",
+        "stiffness_degradation",
+    ]
+
+
 @pytest.mark.parametrize(
     "share", [lambda least: np.full_like(least, 0.4), lambda least: 1 - 0.8 * np.exp(least / 0.03)]
 )

@@ -17,6 +17,7 @@ the names:
 | | more than in proportion | rate | `quadratic_damping` |
 | changes the hysteresis | stiffness falls over the whole loop, strength less | what was gone through | `stiffness_degradation` |
 | | stiffness falls near zero force only | what was gone through | `pinching`, `slip`, `gap` |
+| | both fall over the whole loop | what was gone through | `stiffness_degradation`, `strength_degradation` |
 | | strength falls, stiffness less | what was gone through | `strength_degradation` |
 | | strength grows | what was gone through | `isotropic_hardening` |
 | | either | rate | `rate_dependence` |
@@ -167,8 +168,11 @@ def _hysteretic(found: Contribution) -> Trait | None:
         return Trait("pinching_ratio", "falls", _driver(found, "initial_stiffness"), ("pinching", "slip", "gap"))
     if strength < -PRACTICAL and abs(strength) > _MORE * abs(stiffness):
         return _told(found, "strength", "falls", sides, ("strength_degradation",))
-    if stiffness < -PRACTICAL and middle < -PRACTICAL and abs(stiffness) > _MORE * abs(strength):
-        return _told(found, "initial_stiffness", "falls", whole, ("stiffness_degradation",))
+    if stiffness < -PRACTICAL and middle < -PRACTICAL:
+        # Below yielding, a force falls with the stiffness, whether the strength falls or not.
+        more = abs(stiffness) > _MORE * abs(strength)
+        names = ("stiffness_degradation",) if more else ("stiffness_degradation", "strength_degradation")
+        return _told(found, "initial_stiffness", "falls", whole, names)
     return None
 
 
