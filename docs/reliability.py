@@ -18,7 +18,8 @@ UNITS = {"A": "N/m", "beta": "1/m"}
 # Stored diagnoses, and their cases.
 DIAGNOSES = {
     "hidden_effects_scored": "unseen during development",
-    "hidden_effects_probed": "unseen but for one",
+    "hidden_effects_real": "partly used during development",
+    "hidden_effects_probed": "unseen but for one, an earlier diagnosis",
     "hidden_effects_unseen": "unseen, an earlier diagnosis",
     "hidden_effects": "partly used during development, an earlier diagnosis",
 }
