@@ -240,6 +240,13 @@ def test_a_sensor_that_is_not_quite_at_zero_is_no_load():
     assert not [finding for finding in check_campaign(in_one_record(record)) if finding.kind == "offset"]
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_channel_without_a_number_is_no_load():
+    time, elongation = motion(1, 400)
+    record = Record(time, {"elongation": elongation, "force": np.full(len(time), np.nan)})
+    assert from_unloaded(record) is record
+
+
 def test_an_elongation_that_was_not_zeroed_is_no_load():
     time, elongation = motion(1, 400)
     # A small force of the same sign, such as noise.

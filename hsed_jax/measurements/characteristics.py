@@ -71,6 +71,8 @@ def from_unloaded(record: Record) -> Record:
         return record
     elongation, force = record["elongation"], record["force"]
     moved, loaded = elongation[0], force[0]
+    if not np.isfinite([moved, loaded]).all():
+        return record
     with np.errstate(all="ignore"):
         share = loaded / np.nanmax(np.abs(force)) * np.sign(moved)
         if not share >= max(START, _SECANT * abs(moved) / np.nanmax(np.abs(elongation))):
