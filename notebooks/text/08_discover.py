@@ -90,9 +90,9 @@ diagnosis = hx.diagnose(fit)
 diagnosis
 
 # %% [markdown]
-# The diagnosis names Coulomb friction. It lowers the held-out error only from 0.270 to 0.164, and the rest is far above the
-# noise. A time offset is also likely. It is not named, because it hardly improves the prediction of held-out data. The
-# catalogue has no formula for a friction that grows with the elongation, so the named effect is only an approximation.
+# The diagnosis names a viscous damping that grows with the elongation. It lowers the held-out error only from 0.270 to 0.185,
+# and the rest is far above the noise. Its probability is therefore low. The catalogue has no formula for a friction that grows
+# with the elongation, so the named effect is only an approximation.
 #
 # ## The discovery
 

@@ -108,6 +108,6 @@ for found in diagnosis.specimens:
 
 # %% [markdown]
 # The verdict is `unexplained`, because no effect improves the prediction of all dampers. The diagnosis then examines single
-# dampers. It finds `power_damping` in D5, with a probability of 1.00. This effect is a damping force that grows with the
+# dampers. It finds `viscous_damping` in D5, with a probability of 1.00. This effect is a damping force that grows with the
 # rate, like the force of the dashpot of the laboratory. The other dampers do not have it. The prediction of the next damper
 # therefore leaves it out.
