@@ -860,6 +860,8 @@ def test_an_exchange_leaves_each_set_of_one_effect_less():
         (0.3, 0.5, 0.6, 0.0),
         (0.3, 0.2, 0.25, 1.0),
         (0.3, 0.5, np.inf, 0.0),
+        (0.3, np.inf, np.inf, 0.0),
+        (0.3, np.inf, 0.5, 1.0),
     ],
 )
 def test_what_a_model_explains_is_a_share_of_the_squared_error_beyond_the_noise(noise, before, after, share):

@@ -129,8 +129,10 @@ def explained_share(noise: float, before: float, after: float) -> float:
 
     Arguments:
         noise, before: as in `material`.
-        after: error of the other model.
+        after: error of the other model; infinite if a simulation fails.
     """
+    if not np.isfinite(after):
+        return 0.0
     beyond = max(before**2 - noise**2, 0.0)
     return float(np.clip(1 - max(after**2 - noise**2, 0.0) / beyond, 0.0, 1.0)) if beyond else 1.0
 
