@@ -17,7 +17,7 @@ the names:
 | | more than in proportion | rate | `quadratic_damping` |
 | changes the hysteresis | stiffness falls over the whole loop, strength less | what was gone through | `stiffness_degradation` |
 | | stiffness falls near zero force only | what was gone through | `pinching`, `slip`, `gap` |
-| | both fall over the whole loop | what was gone through | `stiffness_degradation`, `strength_degradation` |
+| | stiffness and strength fall over the whole loop | what was gone through | `stiffness_degradation`, `strength_degradation` |
 | | strength falls, stiffness less | what was gone through | `strength_degradation` |
 | | strength grows | what was gone through | `isotropic_hardening` |
 | | either | rate | `rate_dependence` |
@@ -38,8 +38,8 @@ PRACTICAL = 0.1
 
 RIGHT = 0.93
 """Share of right names of specimens whose formula is not in the catalogue, where the weight of the named effect is nearly one:
-119 of 128 (`benchmarks/hidden_effects_unseen.json`).  A weight compares the formulas of the catalogue only.  The rest
-belongs to formulas that are not in the catalogue.
+119 of 128 (`benchmarks/hidden_effects_unseen.json`).  A weight compares the formulas of the catalogue only.  The rest of
+the probability belongs to formulas that are not in the catalogue.
 """
 
 # A force is a function of the elongation, or of the rate, that explains so much of it: friction may wear, a spring does not.
