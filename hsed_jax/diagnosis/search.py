@@ -225,12 +225,12 @@ class Search:
             is_right: whether the behaviour of a model has the new name, too.
         """
         rest, instead = self._in_forms(self.best - {effect}), self.best - {effect} | {other}
-        labels = [label for label, form in self.effects[other].items() if form.form.driver in ("", driver)]
-        self._fits.fit(self.standard.target, [rest | {(other, label)} for label in labels])
+        forms = [(other, label) for label, form in self.effects[other].items() if form.form.driver in ("", driver)]
+        for own in (forms[:1], forms[1:]):  # the other forms start near the first one
+            self._fits.fit(self.standard.target, [rest | {form} for form in own])
         fits = [self._fits.best(effects) for effects in (Set(), self.best, instead)]
         before, now, then = self.held_out.errors(self.standard.target, fits)
-        is_as_good = before**2 - then**2 >= (1 - MATERIAL) * (before**2 - now**2)
-        if not (is_as_good and is_right(self.model(instead))):
+        if before**2 - then**2 < (1 - MATERIAL) * (before**2 - now**2) or not is_right(self.model(instead)):
             return False
         self.best = instead
         self.path.append(instead)

@@ -6,6 +6,7 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, still
+from hsed_jax.physics.laws.powers import power
 from hsed_jax.physics.laws.reversal import mended_force
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.physics.scales import is_number, is_zero
@@ -121,4 +122,4 @@ def _power(magnitude: Scalar, n: Scalar, offset: int) -> Scalar:
     else:
         exponent = n + offset
     # The logarithm of zero would make the derivative in n a NaN; a spring never works at 1e-12 N.
-    return jnp.exp(exponent * jnp.log(jnp.maximum(magnitude, 1e-12)))
+    return power(jnp.maximum(magnitude, 1e-12), exponent)

@@ -8,6 +8,7 @@ from typing import ClassVar, NamedTuple, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
+from hsed_jax.physics.laws.powers import power
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.registry import register
 
@@ -121,6 +122,6 @@ class MenegottoPinto(AbstractYieldingLaw):
         tiny = 1e-12 * self.yield_elongation
         span = jnp.where(jnp.abs(span) > tiny, span, jnp.copysign(tiny, branch.side))
         x = (elongation - branch.u_r) / span
-        power = jnp.exp(R * jnp.log(jnp.clip(jnp.abs(x), _LEAST, _MOST)))
-        ratio = self.b * x + (1 - self.b) * x * jnp.exp(-jnp.log1p(power) / R)
+        raised = power(jnp.clip(jnp.abs(x), _LEAST, _MOST), R)
+        ratio = self.b * x + (1 - self.b) * x * power(1 + raised, -1 / R)
         return branch.f_r + ratio * k * span

@@ -8,6 +8,7 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
+from hsed_jax.physics.laws.powers import power
 from hsed_jax.physics.parameters import parameter
 from hsed_jax.physics.scales import is_zero
 from hsed_jax.registry import register
@@ -98,4 +99,4 @@ class Takeda(AbstractYieldingLaw):
         """Stiffness of unloading from a side [N/m]."""
         if is_zero(self.alpha):
             return self.k
-        return self.k * jnp.exp(-self.alpha * jnp.log(furthest / self.yield_elongation))
+        return self.k * power(furthest / self.yield_elongation, -self.alpha)
