@@ -1,5 +1,7 @@
 """Expected improvement against quadrature; choices: no repeats, deterministic ties, an optimum that is found."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -84,7 +86,9 @@ def test_log_improvement_against_quadrature_without_cancellation(nu, observed):
 
     def truth_at(a):
         def integrand(x):
-            return np.exp(2 * x + t.logpdf(np.exp(x) - a, nu) - t.logpdf(a, nu))
+            # ψ(s − z)/ψ(z), written out: SciPy's density takes fifty times as long for one number.
+            ratio = math.log1p((math.exp(x) - a) ** 2 / nu) - math.log1p(a**2 / nu)
+            return math.exp(2 * x - (nu + 1) / 2 * ratio)
 
         bounds = zip(np.linspace(-30, 40, 15)[:-1], np.linspace(-30, 40, 15)[1:], strict=True)
         return t.logpdf(a, nu) + np.log(sum(quad(integrand, *part, epsabs=1e-16, epsrel=1e-12)[0] for part in bounds))

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from hsed_jax.physics.laws.powers import log, power
+from hsed_jax.physics.powers import log, power
 
 
 def numbers() -> np.ndarray:

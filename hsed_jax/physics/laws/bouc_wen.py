@@ -6,9 +6,9 @@ from typing import ClassVar, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractSpringLaw, Memory, Scalar, Slots, Turn, still
-from hsed_jax.physics.laws.powers import power
 from hsed_jax.physics.laws.reversal import mended_force
 from hsed_jax.physics.parameters import parameter
+from hsed_jax.physics.powers import power
 from hsed_jax.physics.scales import is_number, is_zero
 from hsed_jax.registry import register
 

@@ -8,8 +8,8 @@ from typing import ClassVar, NamedTuple, final
 import jax.numpy as jnp
 
 from hsed_jax.physics.laws.base import AbstractYieldingLaw, Memory, Scalar, Slots, still
-from hsed_jax.physics.laws.powers import power
 from hsed_jax.physics.parameters import parameter
+from hsed_jax.physics.powers import power
 from hsed_jax.registry import register
 
 # Bounds of the ratio x in powers: below, a logarithm of zero would make derivatives NaN; above, |x|^R would overflow.
