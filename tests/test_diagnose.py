@@ -78,6 +78,7 @@ def test_an_error_of_what_was_measured_has_its_given_scale_in_a_diagnosis_too():
     np.testing.assert_allclose(train.residual(predicted)[:, 0], [0.5, -0.75])
 
 
+@pytest.mark.whole
 def test_noise_alone_names_nothing():
     # By evidence alone, without the guard that stops where the noise explains the residual.
     named = [set(found_in(data_of(seed)).best) for seed in range(40)]
@@ -1125,6 +1126,7 @@ def test_power_against_the_size_of_the_degradation(eta, least):
         assert [d.verdict for d in found] == ["adequate"] * 3
 
 
+@pytest.mark.whole
 def test_a_force_that_comes_late_in_a_record_without_a_time_is_the_test_rigs(tmp_path):
     rng = np.random.default_rng(3)
     rows, late = 60 * 10, 4

@@ -78,6 +78,7 @@ def history(model):
     return of
 
 
+@pytest.mark.whole
 def test_reverse_equals_forward_at_every_saved_time(history):
     theta = jnp.asarray(POINTS[0])
     forward = np.asarray(jax.jit(jax.jacfwd(history))(theta))

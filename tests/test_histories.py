@@ -422,6 +422,7 @@ def test_pulse_drives_records_without_a_ground_acceleration():
     agree(predict(Built(study, campaign), campaign, THETA)[0], exact, 2e-4)
 
 
+@pytest.mark.whole
 def test_recorded_ground_motions_drive_the_structure(shared):
     folder = shared / "data" / "ground_motions"
     if not folder.is_dir():

@@ -174,6 +174,7 @@ def test_terminal_and_report_begin_with_it(campaign, tmp_path, capsys):
 # --- what is physically possible -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_no_effect_is_named_to_get_round_a_bound(campaign, calibration):
     built = Built(Study.model_validate(content()), campaign)
     leaning = [one.parameter for one in calibration.fit.leaning]

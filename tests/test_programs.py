@@ -189,6 +189,7 @@ print(len(traced), float(table.quantities["dissipated_energy"].sum()))
 """
 
 
+@pytest.mark.whole
 def test_a_new_process_finds_what_the_last_one_traced(tmp_path):
     root = Path(__file__).parents[1]
     environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "PYTHONPATH": str(root)}

@@ -72,6 +72,7 @@ def saturating(theta, conditions):
     return jnp.tanh(theta) * conditions.inputs["x"], True
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("seed", [3, 5])
 def test_where_a_polynomial_is_not_enough_nuts_asks_the_simulator(seed):
     # Beyond 2 the response saturates, and only the prior tells one value from another.
@@ -227,6 +228,7 @@ def test_a_budget_that_ends_in_the_adaptation_leaves_the_gaussian():
     assert chains.doubt is not None and "Gaussian around the MAP" in chains.doubt
 
 
+@pytest.mark.whole
 def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
     # A long thin crescent: no Student t covers it.
     posterior, data, maximum = ridge(3.0, width=3.0, thin=0.002)
