@@ -99,6 +99,7 @@ class FitState:
         gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
         slopes: derivatives of the predictions in the same coordinates, (p, n, J); empty if they are too many to store.
         mended: number of steps that updated the derivatives since the last finite differences; −1: the derivatives are invalid.
+        steps, trials: number of accepted steps, and of rejected ones since the last accepted step.
         races: whether the fit is stopped if it cannot catch up with other fits.
     """
 
@@ -113,6 +114,8 @@ class FitState:
     damping: float = 1e-2
     done: bool = False
     mended: int = -1
+    steps: int = 0
+    trials: int = 0
     races: bool = False
 
     @property

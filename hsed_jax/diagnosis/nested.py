@@ -10,7 +10,7 @@ $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sig
   \qquad x_k\in[l_k,u_k]$$
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -133,24 +133,24 @@ class NestedModels:
         for one, cost, predicted in zip(unknown, *self._costs(target, [(f, f.x) for f in unknown]), strict=True):
             one.cost, one.predicted = cost, predicted
             one.done = not np.isfinite(cost)
-        lead = _lead(fits)
+        lead, races = _lead(fits), _races(fits, tasks)
         for one, task, is_known in zip(fits, tasks, known, strict=True):
             # With other errors, a fit may have nothing to gain at its start: the known derivatives show this.
             if is_known:
                 gain = self._expected(one, self._step(one))
                 one.done = task.stays or gain < _GAIN or _is_beaten(one, gain, lead)
-        for number in range(_MOST_STEPS):
-            for stage, left in _RACE.items():
-                if number == stage:
-                    _give_up(fits, tasks, left)
-            active = [f for f in fits if not f.done]
-            self._watch.count(len(fits) - len(active), len(fits))
-            if not active:
-                break
-            self._linearise(target, [f for f in active if f.mended < 0])
-            self._advance(target, active, _lead(fits))
-        _give_up(fits, tasks, 1)
-        self._linearise(target, [f for f in fits if not f.done and f.mended])
+        # Each round simulates for every fit what it needs next, derivatives or a trial step, so that no fit waits for others.
+        while not all(f.done for f in fits):
+            self._watch.count(sum(f.done for f in fits), len(fits))
+            waiting = _give_up(races)
+            active = [f for f in fits if not f.done and id(f) not in waiting]
+            for some in self._portions(target, active):
+                self._advance(target, some, _lead(fits))
+        for race in races:
+            _keep_best(race, 1)
+        ended = [f for f in fits if f.steps == _MOST_STEPS and f.mended and np.isfinite(f.cost)]
+        for some in self._portions(target, ended):
+            self._advance(target, some, {})
         return fits
 
     def _taken_over(self, target: Target, fit: FitState, known: FitState | None) -> bool:
@@ -165,31 +165,62 @@ class NestedModels:
         self._derive(target, fit)
         return True
 
-    def _advance(self, target: Target, active: list[FitState], lead: Mapping[int, float]) -> None:
-        """Move each fit by one accepted step, or end it; `lead` is the lowest cost of each use."""
-        pending = active
-        for _ in range(_MOST_TRIALS):
-            trials = [(f, self._step(f)) for f in pending]
-            rest: list[FitState] = []
-            for (one, x), cost, predicted in zip(trials, *self._costs(target, trials), strict=True):
-                gain, was_mended = one.cost - cost, one.mended > 0
-                if gain > 0:
-                    is_settled = gain < _GAIN and not was_mended
-                    self._move(target, one, x, cost, predicted, is_settled)
-                    one.damping = max(one.damping / 5, 1e-9)
-                    one.done = is_settled or _is_beaten(one, gain, lead)
-                elif was_mended:
-                    one.mended = -1
-                else:
-                    one.damping = max(one.damping * 8, 1e-3)
-                    # The step hardly changes the cost: the fit has converged.
-                    one.done = np.isfinite(cost) and -gain < 1e-3 * _GAIN
-                    rest.append(one)
-            pending = [f for f in rest if not f.done]
-            if not pending:
-                return
-        for one in pending:
-            one.done = True
+    def _portions(self, target: Target, fits: list[FitState]) -> Iterator[list[FitState]]:
+        """The fits in portions, so that only the derivatives of one portion need RAM."""
+        size = max(1, _NUMBERS // (target.values.size * max((len(f.free) for f in fits), default=1)))
+        for start in range(0, len(fits), size):
+            yield fits[start : start + size]
+
+    def _advance(self, target: Target, fits: list[FitState], lead: Mapping[int, float]) -> None:
+        """One batch of simulations: derivatives for each fit without valid ones, a trial step for each other fit.
+
+        Arguments:
+            target: the data.
+            fits: to advance.
+            lead: the lowest cost of each use.
+        """
+        points = [self._differences(f) if f.mended < 0 or f.steps == _MOST_STEPS else [self._step(f)] for f in fits]
+        outputs, ok = self._run(
+            [(x, f.submodel, *_asked(target, f.use)) for f, own in zip(fits, points, strict=True) for x in own]
+        )
+        place = 0
+        for one, own in zip(fits, points, strict=True):
+            of_one = slice(place, place + len(own))
+            place += len(own)
+            if one.mended < 0 or one.steps == _MOST_STEPS:
+                self._linearise(target, one, own, outputs[of_one], ok[of_one])
+            else:
+                self._try(target, one, own[0], outputs[of_one][0], ok[of_one][0], lead)
+
+    def _try(
+        self,
+        target: Target,
+        fit: FitState,
+        x: np.ndarray,
+        outputs: Float[np.ndarray, "r J"],
+        ok: Float[np.ndarray, " r"],
+        lead: Mapping[int, float],
+    ) -> None:
+        """Accept a trial step or reject it; end a fit that has converged, or that cannot catch up with `lead`."""
+        cost = self._cost(target, fit, x, outputs) if ok.all() else np.inf
+        gain, was_mended = fit.cost - cost, fit.mended > 0
+        if gain > 0:
+            is_settled = gain < _GAIN and not was_mended
+            predicted = np.zeros_like(target.values)
+            predicted[target.rows(fit.use)] = outputs
+            self._move(target, fit, x, cost, predicted, is_settled)
+            fit.damping = max(fit.damping / 5, 1e-9)
+            fit.steps, fit.trials = fit.steps + 1, 0
+            fit.done = is_settled or fit.steps == _MOST_STEPS or _is_beaten(fit, gain, lead)
+        elif was_mended:
+            # The attempt counts as a step: updated derivatives that often fail are slow, too.
+            fit.mended, fit.steps = -1, fit.steps + 1
+            fit.done = fit.steps == _MOST_STEPS
+        else:
+            fit.damping = max(fit.damping * 8, 1e-3)
+            fit.trials += 1
+            # The step hardly changes the cost: the fit has converged.
+            fit.done = fit.trials == _MOST_TRIALS or bool(np.isfinite(cost) and -gain < 1e-3 * _GAIN)
 
     def _move(
         self, target: Target, fit: FitState, x: np.ndarray, cost: float, predicted: np.ndarray, is_settled: bool
@@ -266,36 +297,30 @@ class NestedModels:
         cost = float(target.misfit(fit.use, outputs) - self.box.log_density(x[None], fit.free).sum())
         return cost if np.isfinite(cost) else np.inf
 
-    def _linearise(self, target: Target, fits: list[FitState]) -> None:
-        """Derivatives of fits, in several batches, so that only the derivatives of one batch need RAM."""
-        batch = max(1, _NUMBERS // (target.values.size * max((len(f.free) for f in fits), default=1)))
-        for start in range(0, len(fits), batch):
-            self._linearise_batch(target, fits[start : start + batch])
+    def _differences(self, fit: FitState) -> list[np.ndarray]:
+        """The points of finite differences of a fit: forward, unless the step would cross the upper bound."""
+        points = np.repeat(fit.x[None], len(fit.free), axis=0)
+        signs = np.where(fit.x[fit.free] + _DIFFERENCE > self.box.high[fit.free], -1.0, 1.0)
+        points[np.arange(len(fit.free)), fit.free] += signs * _DIFFERENCE
+        return list(points)
 
-    def _linearise_batch(self, target: Target, fits: list[FitState]) -> None:
-        """Derivatives by finite differences, forward unless the step would cross the upper bound."""
-        requests: list[_Request] = []
-        sizes: list[np.ndarray] = []
-        for one in fits:
-            signs = np.where(one.x[one.free] + _DIFFERENCE > self.box.high[one.free], -1.0, 1.0) * _DIFFERENCE
-            sizes.append(signs)
-            for k, size in zip(one.free, signs, strict=True):
-                x = one.x.copy()
-                x[k] += size
-                requests.append((x, one.submodel, *_asked(target, one.use)))
-        outputs, ok = self._run(requests)
-        place = 0
-        for one, steps in zip(fits, sizes, strict=True):
-            rows = target.rows(one.use)
-            one.slopes = np.zeros((len(steps), *target.values.shape))
-            for slope, size in zip(one.slopes, steps, strict=True):
-                difference = outputs[place] - one.predicted[rows]
-                slope[rows] = np.where(ok[place][:, None] > 0, difference, 0.0) / size
-                place += 1
-            self._derive(target, one)
-            one.mended = 0
-            if one.slopes.size > _KEPT:
-                one.slopes = np.zeros((0, 0, 0))
+    def _linearise(
+        self,
+        target: Target,
+        fit: FitState,
+        points: Sequence[np.ndarray],
+        outputs: Sequence[Float[np.ndarray, "r J"]],
+        ok: Sequence[Float[np.ndarray, " r"]],
+    ) -> None:
+        """Derivatives of a fit from its outputs at the points of the finite differences."""
+        rows = target.rows(fit.use)
+        fit.slopes = np.zeros((len(points), *target.values.shape))
+        for slope, k, x, there, is_ok in zip(fit.slopes, fit.free, points, outputs, ok, strict=True):
+            slope[rows] = np.where(is_ok[:, None] > 0, there - fit.predicted[rows], 0.0) / (x[k] - fit.x[k])
+        self._derive(target, fit)
+        fit.mended = 0
+        if fit.slopes.size > _KEPT:
+            fit.slopes = np.zeros((0, 0, 0))
 
     def _run(self, requests: Sequence[_Request]) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Outputs (r, J) and convergence flags (r,) of each request."""
@@ -327,12 +352,28 @@ def _is_beaten(fit: FitState, gain: float, lead: Mapping[int, float]) -> bool:
     return fit.races and behind > _BEHIND and gain * _AS_MANY < behind
 
 
-def _give_up(fits: Sequence[FitState], tasks: Sequence[Task], left: int) -> None:
-    """Stop all starts of each fit, except the `left` ones with the lowest costs."""
-    groups: dict[int, list[FitState]] = {}
+def _races(fits: Sequence[FitState], tasks: Sequence[Task]) -> list[list[FitState]]:
+    """The starts of each fit that has several."""
+    races: dict[int, list[FitState]] = {}
     for one, task in zip(fits, tasks, strict=True):
         if task.rivals >= 0:
-            groups.setdefault(task.rivals, []).append(one)
-    for group in groups.values():
-        for one in sorted(group, key=lambda f: f.cost)[left:]:
-            one.done, one.cost = True, np.inf
+            races.setdefault(task.rivals, []).append(one)
+    return list(races.values())
+
+
+def _give_up(races: Sequence[list[FitState]]) -> set[int]:
+    """Stop the starts that are behind when all active starts of their fit have made the steps of a stage; the identities of the
+    starts that wait for the others there."""
+    waiting: set[int] = set()
+    for race in races:
+        least = min((f.steps for f in race if not f.done), default=0)
+        if least in _RACE:
+            _keep_best(race, _RACE[least])
+        waiting |= {id(f) for f in race if f.steps in _RACE and f.steps > least}
+    return waiting
+
+
+def _keep_best(race: Sequence[FitState], left: int) -> None:
+    """Stop all starts of a fit, except the `left` ones with the lowest costs."""
+    for one in sorted(race, key=lambda f: f.cost)[left:]:
+        one.done, one.cost = True, np.inf
