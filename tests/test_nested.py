@@ -283,6 +283,21 @@ def test_fits_made_side_by_side_are_those_made_alone(decays):
         np.testing.assert_array_equal(alone.x, fit.x)
 
 
+def test_no_fit_waits_for_the_steps_of_another_one(decays):
+    models = models_of(decay, DECAY, [1.0, 1.0])
+    target = target_of(decays)
+    starts = models.box.quantiles(np.arange(2), np.random.default_rng(3).uniform(size=(12, 2)))
+    tasks = [Task(models.submodel(np.arange(2)), start) for start in starts]
+
+    def calls_of(tasks):
+        models.batch.asked.clear()
+        models.fit(target, tasks)
+        return len(models.batch.asked)
+
+    alone = [calls_of([task]) for task in tasks]
+    assert calls_of(tasks) == max(alone) > min(alone)
+
+
 def test_a_fit_that_goes_on_with_other_errors_begins_with_what_is_known(decays):
     def ends(is_known):
         models = models_of(decay, DECAY, [1.0, 1.0])

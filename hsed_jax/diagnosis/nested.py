@@ -6,6 +6,9 @@ coordinate, which also detect an effect without a derivative at its neutral valu
 expected, each step instead updates the derivatives along its direction (Broyden 1965), without a simulation.  A fit that
 continues where another one ended, with other errors or without some of the experiments, starts with the known derivatives.
 
+A small batch takes as long as its slowest simulation, so the number of batches counts.  Each batch has what each fit needs next,
+derivatives or a trial step.  Only starts of one fit wait for one another, at the few places where the best of them continue.
+
 $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sigma_{ij}}\Big)^2 - \sum_k\log p(x_k),
   \qquad x_k\in[l_k,u_k]$$
 """
@@ -139,7 +142,6 @@ class NestedModels:
             if is_known:
                 gain = self._expected(one, self._step(one))
                 one.done = task.stays or gain < _GAIN or _is_beaten(one, gain, lead)
-        # Each round simulates for every fit what it needs next, derivatives or a trial step, so that no fit waits for others.
         while not all(f.done for f in fits):
             self._watch.count(sum(f.done for f in fits), len(fits))
             waiting = _give_up(races)
