@@ -99,7 +99,8 @@ class FitState:
         gradient, hessian: of φ in the free coordinates (Gauss–Newton), (p,) and (p, p).
         slopes: derivatives of the predictions in the same coordinates, (p, n, J); empty if they are too many to store.
         mended: number of steps that updated the derivatives since the last finite differences; −1: the derivatives are invalid.
-        steps, trials: number of accepted steps, and of rejected ones since the last accepted step.
+        steps: number of steps that were accepted, or that failed with updated derivatives.
+        trials: number of steps that were rejected since the last accepted one.
         races: whether the fit is stopped if it cannot catch up with other fits.
     """
 

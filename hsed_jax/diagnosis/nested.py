@@ -7,7 +7,7 @@ expected, each step instead updates the derivatives along its direction (Broyden
 continues where another one ended, with other errors or without some of the experiments, starts with the known derivatives.
 
 A small batch takes as long as its slowest simulation, so the number of batches counts.  Each batch has what each fit needs next,
-derivatives or a trial step.  Only starts of one fit wait for one another, at the few places where the best of them continue.
+derivatives or a trial step.  Only the starts of one fit wait for one another, where the best of them are chosen.
 
 $$\varphi(x) = \tfrac12\sum_{ij} w_{ij}\Big(\frac{y_{ij}-f_{ij}(\theta(x))}{\sigma_{ij}}\Big)^2 - \sum_k\log p(x_k),
   \qquad x_k\in[l_k,u_k]$$
@@ -145,12 +145,14 @@ class NestedModels:
         while not all(f.done for f in fits):
             self._watch.count(sum(f.done for f in fits), len(fits))
             waiting = _give_up(races)
-            active = [f for f in fits if not f.done and id(f) not in waiting]
+            active, lead = [f for f in fits if not f.done and id(f) not in waiting], _lead(fits)
             for some in self._portions(target, active):
-                self._advance(target, some, _lead(fits))
+                self._advance(target, some, lead)
         for race in races:
             _keep_best(race, 1)
         ended = [f for f in fits if f.steps == _MOST_STEPS and f.mended and np.isfinite(f.cost)]
+        for one in ended:
+            one.mended = -1
         for some in self._portions(target, ended):
             self._advance(target, some, {})
         return fits
@@ -181,7 +183,7 @@ class NestedModels:
             fits: to advance.
             lead: the lowest cost of each use.
         """
-        points = [self._differences(f) if f.mended < 0 or f.steps == _MOST_STEPS else [self._step(f)] for f in fits]
+        points = [self._differences(f) if f.mended < 0 else [self._step(f)] for f in fits]
         outputs, ok = self._run(
             [(x, f.submodel, *_asked(target, f.use)) for f, own in zip(fits, points, strict=True) for x in own]
         )
@@ -189,27 +191,26 @@ class NestedModels:
         for one, own in zip(fits, points, strict=True):
             of_one = slice(place, place + len(own))
             place += len(own)
-            if one.mended < 0 or one.steps == _MOST_STEPS:
+            if one.mended < 0:
                 self._linearise(target, one, own, outputs[of_one], ok[of_one])
             else:
-                self._try(target, one, own[0], outputs[of_one][0], ok[of_one][0], lead)
+                self._try(
+                    target, one, own[0], *self._outcome(target, one, own[0], outputs[of_one][0], ok[of_one][0]), lead
+                )
 
     def _try(
         self,
         target: Target,
         fit: FitState,
         x: np.ndarray,
-        outputs: Float[np.ndarray, "r J"],
-        ok: Float[np.ndarray, " r"],
+        cost: float,
+        predicted: np.ndarray,
         lead: Mapping[int, float],
     ) -> None:
         """Accept a trial step or reject it; end a fit that has converged, or that cannot catch up with `lead`."""
-        cost = self._cost(target, fit, x, outputs) if ok.all() else np.inf
         gain, was_mended = fit.cost - cost, fit.mended > 0
         if gain > 0:
             is_settled = gain < _GAIN and not was_mended
-            predicted = np.zeros_like(target.values)
-            predicted[target.rows(fit.use)] = outputs
             self._move(target, fit, x, cost, predicted, is_settled)
             fit.damping = max(fit.damping / 5, 1e-9)
             fit.steps, fit.trials = fit.steps + 1, 0
@@ -285,14 +286,21 @@ class NestedModels:
     ) -> tuple[list[float], list[np.ndarray]]:
         """φ and predictions at trial points."""
         outputs, ok = self._run([(x, f.submodel, *_asked(target, f.use)) for f, x in trials])
-        costs: list[float] = []
-        tables: list[np.ndarray] = []
-        for (one, x), rows_outputs, rows_ok in zip(trials, outputs, ok, strict=True):
-            predicted = np.zeros_like(target.values)
-            predicted[target.rows(one.use)] = rows_outputs
-            costs.append(self._cost(target, one, x, rows_outputs) if rows_ok.all() else np.inf)
-            tables.append(predicted)
-        return costs, tables
+        found = [self._outcome(target, *trial, *own) for trial, *own in zip(trials, outputs, ok, strict=True)]
+        return [cost for cost, _ in found], [predicted for _, predicted in found]
+
+    def _outcome(
+        self,
+        target: Target,
+        fit: FitState,
+        x: np.ndarray,
+        outputs: Float[np.ndarray, "r J"],
+        ok: Float[np.ndarray, " r"],
+    ) -> tuple[float, np.ndarray]:
+        """φ of a fit at a point, infinite if a simulation diverged, and the predictions there, (n, J)."""
+        predicted = np.zeros_like(target.values)
+        predicted[target.rows(fit.use)] = outputs
+        return self._cost(target, fit, x, outputs) if ok.all() else np.inf, predicted
 
     def _cost(self, target: Target, fit: FitState, x: np.ndarray, outputs: Float[np.ndarray, "r J"]) -> float:
         """φ of a fit at a point with these outputs; infinite if it is not finite."""
@@ -364,8 +372,11 @@ def _races(fits: Sequence[FitState], tasks: Sequence[Task]) -> list[list[FitStat
 
 
 def _give_up(races: Sequence[list[FitState]]) -> set[int]:
-    """Stop the starts that are behind when all active starts of their fit have made the steps of a stage; the identities of the
-    starts that wait for the others there."""
+    """Stop the starts that are behind, as soon as all active starts of their fit have made the steps of a stage.
+
+    Returns:
+        The identities (`id`) of the starts that wait for others at a stage.
+    """
     waiting: set[int] = set()
     for race in races:
         least = min((f.steps for f in race if not f.done), default=0)
