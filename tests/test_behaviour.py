@@ -7,10 +7,14 @@ import pytest
 
 from hsed_jax.behaviour.contributions import contribution, dependence
 from hsed_jax.behaviour.findings import Behaviour, Behaviours, Value, told
-from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, over_the_range, range_of
+from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, imposed, over_the_range, range_of
 from hsed_jax.behaviour.names import Trait, called, trait
 from hsed_jax.behaviour.probes import Probed, probed
+from hsed_jax.behaviour.specimens import answers
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE
+from hsed_jax.physics.scales import Scales
+from hsed_jax.physics.simulator import Simulator
+from hsed_jax.physics.timeline import Timeline
 
 STIFFNESS, YIELD, RATE = 2.0e6, 3.0e4, 0.4
 VISITED = Range(0.06 * np.linspace(0, 1, 41) * (-1.0) ** np.arange(41), RATE)
@@ -226,3 +230,20 @@ def test_the_main_changes_are_said_first_and_what_stays_is_compared_with_the_mod
     assert Behaviours(falls[:2]).sentence == "unloading_stiffness; post_yield_stiffness"
     flag = Behaviour("recentring", "differs", {}, Value(0.42, 0.42, 0.42), Value(0.97, 0.96, 0.98), "1")
     assert told(flag, ELONGATION_AND_FORCE) == "recentring is 0.97 (90 %: 0.96 to 0.98) instead of 0.42"
+
+
+def test_short_and_long_histories_together_have_the_forces_of_the_closed_form():
+    # With n = 1 and γ = 0, each branch is an exponential. Two models of 40 histories fill more than one chunk.
+    turns = [np.asarray([0.0, *(0.01 * (-1.0) ** k for k in range(count))]) for count in np.arange(40) % 20 + 1]
+    histories = imposed(turns, [0.01] * len(turns), step=2e-4)
+    models = [{"A": 2e7, "beta": beta, "gamma": 0.0, "n": 1.0} for beta in (100.0, 300.0)]
+    found = answers(Simulator(None, None, Timeline(None, 1), scales=Scales(force=2e5)), models, histories)
+    assert found.ok.all()
+    for model, force in zip(models, found.force, strict=True):
+        strength = model["A"] / model["beta"]
+        for own, last in zip(turns, force[:, -1], strict=True):
+            z = 0.0
+            for change in np.diff(own):
+                z = np.sign(change) * strength + (z - np.sign(change) * strength) * np.exp(-model["beta"] * abs(change))
+            assert last == pytest.approx(z, rel=1e-4)
+        assert np.all(force[np.arange(len(turns)), np.argmax(histories.lengths > 0, axis=1)] == 0)

@@ -213,6 +213,24 @@ def test_a_fit_ends_where_scipys_does(decays):
         np.testing.assert_allclose(target.standardised(0, np.arange(3), residual), residual / SIGMA, rtol=1e-12)
 
 
+def test_standardised_differences_are_white_where_the_noise_remembers():
+    # Two histories of one experiment beside each other: the first sample of each has no memory.
+    random, rho, size = np.random.default_rng(0), 0.8, 4000
+    memory = np.where(np.arange(2 * size) % size == 0, 0.0, rho)[None]
+    white = random.standard_normal((1, 2 * size))
+    noise = np.zeros((1, 2 * size))
+    for k in range(2 * size):
+        noise[0, k] = memory[0, k] * noise[0, k - 1] + np.sqrt(1 - memory[0, k] ** 2) * white[0, k]
+    sigma = np.linspace(1.0, 5.0, 2 * size)[None]
+    weights = np.r_[np.full(size, 0.25), np.zeros(size // 2), np.ones(size - size // 2)]
+    target = Target(np.zeros((1, 2 * size)), sigma, weights[None, None], memory)
+    found = target.standardised(0, target.rows(0), sigma * noise)
+    # A sample without a weight is not known: the next one has no innovation to be compared with.
+    is_known = np.r_[np.ones(size + 1), np.zeros(size // 2), np.ones(size - size // 2 - 1)] > 0
+    np.testing.assert_allclose(found[0, is_known], (np.sqrt(weights) * white[0])[is_known], atol=1e-9)
+    assert target.misfit(0, sigma * noise) == pytest.approx(0.5 * np.sum(found**2))
+
+
 def test_gradient_and_hessian_are_those_of_the_cost(decays):
     models = models_of(decay, DECAY, [1.0, 1.0])
     target = target_of(decays)

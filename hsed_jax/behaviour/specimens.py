@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from hsed_jax.backend import cores
 from hsed_jax.behaviour.histories import Histories, Imposition
@@ -77,7 +77,9 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
     """Forces of a specimen with different parameters, SI, by name."""
     steps, count = histories.lengths.shape[1], len(histories.lengths)
     timed = replace(specimen, timeline=Timeline(None, steps, 1))
-    simulations = np.arange(len(models) * count)
+    # A chunk of simulations takes as long as its longest history, without the steps before that begins.
+    begins = np.argmax(histories.lengths > 0, axis=1)
+    simulations = np.argsort(np.tile(begins, len(models)), kind="stable")
     force = np.zeros((len(simulations), steps + 1))
     ok = np.zeros(len(simulations), dtype=bool)
 
@@ -85,10 +87,13 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
         own = simulations[start : start + _CHUNK]
         filled = np.pad(own, (0, _CHUNK - len(own)), mode="edge")
         of, row = np.divmod(filled, count)
+        skipped = int(begins[row].min())
         parameters = {name: jnp.asarray([models[k][name] for k in of]) for name in models[0]}
-        imposed = Imposed(jnp.asarray(histories.elongation[row]), jnp.asarray(histories.rate[row]))
-        found, is_fine = _forces(timed, parameters, imposed, jnp.asarray(histories.lengths[row]))
-        force[own], ok[own] = np.asarray(found)[: len(own)], np.asarray(is_fine)[: len(own)]
+        imposed = Imposed(_without(histories.elongation[row], 2 * skipped), _without(histories.rate[row], 2 * skipped))
+        lengths, stop = _without(histories.lengths[row], skipped), jnp.asarray(steps - skipped)
+        found, is_fine = (np.asarray(part)[: len(own)] for part in _forces(timed, parameters, imposed, lengths, stop))
+        force[own] = np.pad(found[:, : steps + 1 - skipped], ((0, 0), (skipped, 0)), mode="edge")
+        ok[own] = is_fine
 
     with ThreadPoolExecutor(cores()) as threads:
         list(threads.map(answer, range(0, len(simulations), _CHUNK)))
@@ -97,10 +102,15 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
     return Answers(force.reshape(*shape, steps + 1), ok.reshape(shape))
 
 
+def _without(values: Float[np.ndarray, "B n"], first: int) -> Float[Array, "B n"]:
+    """Values without the first ones; the last value is repeated in their place, after the end."""
+    return jnp.asarray(np.pad(values[:, first:], ((0, 0), (0, first)), mode="edge"))
+
+
 @program
-def _forces(specimen, parameters, imposed, lengths):
+def _forces(specimen, parameters, imposed, lengths, stop):
     def one(values, sample, length):
-        response = specimen.respond(values, Conditions({}, Recorded(Tabulated(sample), length)), ("force",))
+        response = specimen.respond(values, Conditions({}, Recorded(Tabulated(sample), length, stop=stop)), ("force",))
         return response.channels["force"], response.ok
 
     return jax.vmap(one)(parameters, imposed, lengths)

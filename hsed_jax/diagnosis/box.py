@@ -113,11 +113,11 @@ class Box:
         self.low, self.high = np.maximum(self.low, lower), np.minimum(self.high, upper)
         densities = [_level() if n in flat else c.density for n, c in zip(priors, coordinates, strict=True)]
         # One table for all densities: separate evaluations would take longer than all other work between simulations.
-        self._last = np.asarray([d.c.shape[1] - 1 for d in densities], dtype=int)
-        most = int(self._last.max(initial=0)) + 2
-        self._knots, self._cubics = np.full((len(densities), most), np.inf), np.zeros((len(densities), most - 1, 4))
-        for knots, cubics, density in zip(self._knots, self._cubics, densities, strict=True):
-            knots[: density.x.size], cubics[: density.x.size - 1] = density.x, density.c.T
+        most = max((d.c.shape[1] for d in densities), default=0)
+        self._inner, self._from = [d.x[1:-1] for d in densities], np.zeros((len(densities), most))
+        self._cubics = np.zeros((len(densities), most, 4))
+        for start, cubics, density in zip(self._from, self._cubics, densities, strict=True):
+            start[: density.c.shape[1]], cubics[: density.c.shape[1]] = density.x[:-1], density.c.T
         self._quantiles: dict[tuple[int, tuple[float, ...]], np.ndarray] = {}
 
     def theta(self, x: np.ndarray) -> np.ndarray:
@@ -150,9 +150,10 @@ class Box:
 
     def _pieces(self, x: Float[np.ndarray, "*B q"], columns: Int[np.ndarray, " q"]) -> tuple[Any, np.ndarray]:
         """The cubics of the splines at x, highest power first, (4, *B, q), and the distance of x from its knot, (*B, q)."""
-        knots = self._knots[columns]
-        piece = np.clip((knots <= x[..., None]).sum(axis=-1) - 1, 0, self._last[columns])
-        return np.moveaxis(self._cubics[columns, piece], -1, 0), x - knots[np.arange(len(columns)), piece]
+        piece = np.zeros(x.shape, dtype=int)
+        for place, column in enumerate(columns):
+            piece[..., place] = self._inner[column].searchsorted(x[..., place], side="right")
+        return np.moveaxis(self._cubics[columns, piece], -1, 0), x - self._from[columns, piece]
 
     def _quantile(self, k: int, shares: tuple[float, ...]) -> np.ndarray:
         if (k, shares) not in self._quantiles:

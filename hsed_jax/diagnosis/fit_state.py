@@ -2,15 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from hsed_jax.inference.likelihood import whitened
 
-
-class Target(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Target:
     """The data of a fit: measured values and their errors, SI, and the weights of several uses of the same experiments.
 
     Attributes:
@@ -32,20 +32,38 @@ class Target(NamedTuple):
 
     def rows(self, use: int) -> Int[np.ndarray, " r"]:
         """Indices of the experiments that have a weight in a use."""
-        return np.flatnonzero(self.weights[use].any(axis=1))
+        return self._rows[use]
 
     def misfit(self, use: int, outputs: Float[np.ndarray, "... r J"]) -> Float[np.ndarray, "..."]:
         """Half the weighted sum of squares of the residual, for outputs of the experiments in `rows(use)`, SI."""
         rows = self.rows(use)
         residual = self.standardised(use, rows, outputs - self.values[rows])
-        return np.asarray(0.5 * np.sum(residual**2, axis=(-2, -1)))
+        return np.asarray(0.5 * np.einsum("...ij,...ij", residual, residual))
 
     def standardised(
         self, use: int, rows: Int[np.ndarray, " r"], difference: Float[np.ndarray, "... r J"]
     ) -> Float[np.ndarray, "... r J"]:
-        """√w times the innovations (`whitened`) of differences of outputs, SI, in units of their errors."""
-        used = self.weights[use][rows]
-        return np.sqrt(used) * whitened((used > 0) * difference / self.sigma[rows], self.memory[rows])
+        r"""√w times the innovations of differences d of outputs, SI, in units of their errors (`inference.likelihood.whitened`):
+
+        $$\sqrt{w_k}\,\frac{d_k/\sigma_k - \rho_k\,d_{k-1}/\sigma_{k-1}}{\sqrt{1-\rho_k^2}}.$$
+        """
+        own, before = (factors[use][rows] for factors in self._factors)
+        found = own * difference
+        # The first sample of a history has no sample before it: its ρ is zero.
+        found[..., 1:] -= before[..., 1:] * difference[..., :-1]
+        return found
+
+    @cached_property
+    def _rows(self) -> list[Int[np.ndarray, " r"]]:
+        """Indices of the experiments that have a weight, by use."""
+        return [np.flatnonzero(weights.any(axis=1)) for weights in self.weights]
+
+    @cached_property
+    def _factors(self) -> tuple[Float[np.ndarray, "M n J"], Float[np.ndarray, "M n J"]]:
+        """Factors of a difference and of the one before it: computed once, because a fit needs them for each simulation."""
+        share = np.sqrt(self.weights / (1 - self.memory**2))
+        scaled = (self.weights > 0) / self.sigma
+        return share * scaled, share * self.memory * np.roll(scaled, 1, axis=-1)
 
 
 class Submodel(NamedTuple):
@@ -58,6 +76,12 @@ class Submodel(NamedTuple):
 
     free: Int[np.ndarray, " p"]
     held: Float[np.ndarray, " P"]
+
+    def told(self, theta: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
+        """θ of the submodel: its free parameters are those of `theta`, the others have their held values."""
+        whole = self.held.copy()
+        whole[self.free] = theta[self.free]
+        return whole
 
     def beside(self, more: Int[np.ndarray, " q"], held: Mapping[int, float]) -> "Submodel":
         """The submodel with further free coordinates and further held parameters."""

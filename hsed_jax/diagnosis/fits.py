@@ -11,6 +11,7 @@ the probability of an effect, and two effects are compared independently of thei
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -76,17 +77,18 @@ class Fits:
     def __init__(self, models: NestedModels, law: Int[np.ndarray, " p"], effects: Mapping[str, Forms]):
         self.models, self.law, self.effects = models, law, effects
         self._known: dict[Choice, FitState] = {}
+        self._of: dict[Set, list[Choice]] = {}
         self._hopeless: set[Choice] = set()
         self._evidence: dict[Choice, tuple[FitState, float]] = {}
         self.probabilities: dict[Choice, float] = {}
 
     def __contains__(self, effects: Set) -> bool:
         """Whether a set was fitted in any form."""
-        return bool(self.of(effects))
+        return bool(self._of.get(effects))
 
     def of(self, effects: Set) -> list[Choice]:
         """The fitted forms of a set."""
-        return [choice for choice in self._known if names_of(choice) == effects]
+        return list(self._of.get(effects, ()))
 
     def starts_of_law(self) -> Float[np.ndarray, "8 P"]:
         """Points spread over the priors of the law parameters, without effects; the first one is the neutral point."""
@@ -94,7 +96,7 @@ class Fits:
 
     def set_law(self, fit: FitState) -> None:
         """Store the fit of the model without effects."""
-        self._known[frozenset()] = fit
+        self._store({frozenset(): fit})
 
     def top(self, effects: Set) -> Choice:
         """The selected forms of a fitted set: of the forms that predict about as well as the best, those with the fewest
@@ -164,10 +166,11 @@ class Fits:
                     kept.append(choice)
                 else:
                     self._hopeless.add(choice)
+                    self._of[effects].remove(choice)
                     del self._known[choice]
-        self._known |= self._go_on(target, {choice: self._known[choice].x for choice in kept}, stay=True)
+        self._store(self._go_on(target, {choice: self._known[choice].x for choice in kept}, stay=True))
         lead = sorted(kept, key=self._worth, reverse=True)[:_LEAD]
-        self._known |= self._go_on(target, {choice: self._known[choice].x for choice in lead})
+        self._store(self._go_on(target, {choice: self._known[choice].x for choice in lead}))
         self._reconcile(target, lead)
 
     def look_again(self, target: Target, choices: Sequence[Choice]) -> None:
@@ -185,7 +188,7 @@ class Fits:
             label, form = next(iter(forms.items()))
             starts[frozenset({(effect, label)})] = self._everywhere(np.concatenate([self.law, form.columns]))
         selected = np.isin(np.arange(len(target.values)), rows)[:, None]
-        best = self._raced(target._replace(weights=target.weights * selected), starts)
+        best = self._raced(replace(target, weights=target.weights * selected), starts)
         leading = sorted(best, key=lambda choice: best[choice].cost)[:_LEAD]
         self._fit_from(target, {choice: [best[choice].x] for choice in leading})
 
@@ -197,9 +200,18 @@ class Fits:
 
     def _fit_from(self, target: Target, starts: Mapping[Choice, Sequence[np.ndarray]]) -> None:
         """Fit choices from their starts, and store the best fit of each choice."""
-        for choice, fit in self._raced(target, starts).items():
-            if choice not in self._known or fit.cost < self._known[choice].cost:
-                self._known[choice] = fit
+        self._store_better(self._raced(target, starts))
+
+    def _store_better(self, found: Mapping[Choice, FitState]) -> None:
+        """Store the fits with a lower cost than the stored ones."""
+        self._store({c: fit for c, fit in found.items() if c not in self._known or fit.cost < self._known[c].cost})
+
+    def _store(self, found: Mapping[Choice, FitState]) -> None:
+        """Store fits in place of earlier ones."""
+        for choice in found:
+            if choice not in self._known:
+                self._of.setdefault(names_of(choice), []).append(choice)
+        self._known |= found
 
     def _raced(self, target: Target, starts: Mapping[Choice, Sequence[np.ndarray]]) -> dict[Choice, FitState]:
         """The best fit of each choice from its starts, of which only the leading ones continue."""
@@ -254,7 +266,7 @@ class Fits:
         model whose additional effect is absent.  If it does not, its fit continues from the point of the other model."""
         for size in sorted({len(c) for c in choices}):
             caught = {c: x for c in choices if len(c) == size and (x := self._better_start(c, choices)) is not None}
-            self._known |= {c: fit for c, fit in self._go_on(target, caught).items() if fit.cost < self._known[c].cost}
+            self._store_better(self._go_on(target, caught))
 
     def _better_start(self, choice: Choice, choices: Sequence[Choice]) -> np.ndarray | None:
         """The point of another fit at which this model has a lower cost than at its own point; None without one."""

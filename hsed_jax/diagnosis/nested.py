@@ -92,9 +92,7 @@ class NestedModels:
 
     def theta(self, x: Float[np.ndarray, " P"], submodel: Submodel) -> Float[np.ndarray, " P"]:
         """θ of a model at a point: the free coordinates are those of x, the other parameters have their held values."""
-        theta = submodel.held.copy()
-        theta[submodel.free] = self.box.theta(x)[submodel.free]
-        return theta
+        return submodel.told(self.box.theta(x))
 
     def fit(self, target: Target, tasks: Sequence[Task]) -> list[FitState]:
         """Make fits, all in parallel; fits that an earlier run has stored are not made again.
@@ -336,7 +334,10 @@ class NestedModels:
         """Outputs (r, J) and convergence flags (r,) of each request."""
         if not requests:
             return [], []
-        thetas = [np.repeat(self.theta(x, submodel)[None], len(rows), axis=0) for x, submodel, rows, _ in requests]
+        free = self.box.theta(np.stack([x for x, *_ in requests]))
+        thetas = [
+            np.repeat(s.told(own)[None], len(rows), axis=0) for own, (_, s, rows, _) in zip(free, requests, strict=True)
+        ]
         rows = [rows for *_, rows, _ in requests]
         samples = [samples for *_, samples in requests if samples is not None]
         asked = np.concatenate(samples) if len(samples) == len(requests) else None
