@@ -252,6 +252,7 @@ def test_sobol_candidates():
         sobol_candidates(0, 2, 0)
 
 
+@pytest.mark.whole
 def test_expected_improvement_finds_the_optimum_of_branin_and_random_does_not():
     candidates = sobol_candidates(2048, 2, 0)
     truth = -branin(np.asarray(candidates))

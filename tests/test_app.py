@@ -637,6 +637,7 @@ ARRIVING = [("campaign.yaml", "experiments.csv", "E01.csv"), ("E01.csv", "experi
             ("experiments.csv", "E01.csv", "campaign.yaml")]  # fmt: skip
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("order", ARRIVING, ids=" ".join)
 def test_the_files_of_a_campaign_come_when_they_come(server, opened, order):
     files = campaign_files({"E01": ""})
@@ -649,6 +650,7 @@ def test_the_files_of_a_campaign_come_when_they_come(server, opened, order):
     assert [e.id for e in read_campaign(made)] == ["E01"]
 
 
+@pytest.mark.whole
 def test_a_record_that_is_none_is_said_and_the_page_goes_on(server, opened):
     page = opened(server)
     drop(page, ("one_row.csv", "text/csv", 't,u,F\n1,2,"x"\n'))
@@ -661,6 +663,7 @@ def test_a_record_that_is_none_is_said_and_the_page_goes_on(server, opened):
     assert page.get_by_label("column of the force").input_value() == "F"
 
 
+@pytest.mark.whole
 def test_a_run_that_there_is_can_be_played_with(server, opened):
     page = opened(server)
     page.get_by_label("run", exact=True).select_option("runs/column")

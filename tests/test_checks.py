@@ -383,6 +383,7 @@ def test_a_record_of_a_few_samples_is_no_history(samples):
         stop_at_errors(campaign)
 
 
+@pytest.mark.whole
 def test_fewer_samples_than_parameters_are_one_clear_message(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("hsed_jax.measurements.checks.SAMPLES", 2)
     record = Record(np.arange(2.0), {"elongation": np.array([0, 0.001]), "force": np.array([0, 2000.0])})

@@ -189,6 +189,7 @@ def test_a_limit_keeps_the_design_where_the_response_stays_below_it(built, tmp_p
         assert (float(plain[0]) > 0.35) == closed[index]
 
 
+@pytest.mark.whole
 def test_where_experiments_cost_something_a_cheaper_one_is_asked(built, tmp_path):
     cost = {"fixed": -1.4, "per": {"V_P": 1.0}}
     with pytest.raises(UserError, match=r"design\.cost\.fixed"):

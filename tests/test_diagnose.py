@@ -968,6 +968,7 @@ def test_a_model_that_lacks_nothing_is_adequate(plain):
     assert max(c.log_evidence_gain for c in plain.ranking) < 3
 
 
+@pytest.mark.whole
 def test_a_dashpot_that_one_record_hardly_shows_is_said_to_be_likely():
     # The score test is sure of it. What the past predicts of the future is not yet.
     found = diagnosed(0.07 * C)
@@ -1014,6 +1015,7 @@ def test_a_verdict_that_other_priors_turn_to_another_explanation_is_ambiguous(mo
     assert f"it leads to {found.called(other)}" in " ".join(found.summary()["notes"])
 
 
+@pytest.mark.whole
 def test_what_an_effect_leaves_beside_the_noise_is_not_its_own():
     found = diagnosed(C, effects=["coulomb_friction"])
     (first,) = found.ranking

@@ -94,6 +94,7 @@ def test_one_output_disagrees_with_nothing():
     assert judged(measured_at(X, values)) is None
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("is_missing", [True, False])
 def test_an_effect_that_the_model_lacks_sets_elongation_and_force_apart(is_missing):
     changes = ["calibration.sampler=laplace", "calibration.starts=2"]

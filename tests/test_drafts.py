@@ -116,6 +116,7 @@ def test_a_sweep_in_a_folder_with_a_link_is_refused(tmp_path, mine, name):
     assert mine.read_bytes() == MINE
 
 
+@pytest.mark.whole
 def test_a_report_of_a_folder_with_links_overwrites_nothing_outside(tmp_path, mine, capsys):
     run = run_folders.write(tmp_path / "run")
     (run / "report.html.part").symlink_to(mine)

@@ -711,6 +711,7 @@ def test_relaxation_is_the_maxwell_element(observed):
 # --- all effects at once -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_a_traced_simulator_with_the_whole_catalogue_gives_the_same(experiment, paper_simulator, pulse_conditions):
     kind, respond = experiment
     values = {key: value for name in PRESENT for key, value in some(name).items()}

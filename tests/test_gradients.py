@@ -43,6 +43,7 @@ def quantities(model, pulse_conditions):
 POINTS = np.array([[1.0, 1.0, 0.1, 1.02, 1.0], [0.8, 0.7, -0.2, 0.97, 0.5], [1.3, 1.4, 0.4, 1.05, 2.0]])
 
 
+@pytest.mark.whole
 def test_forward_jacobian_equals_central_differences(quantities):
     value, jacobian = quantities
     step = 1e-6
@@ -192,6 +193,7 @@ def test_predictor_value_and_jvp_equal_plain_vmap(prediction, plain_truth):
     np.testing.assert_allclose(plain_value, values[0], rtol=1e-12)
 
 
+@pytest.mark.whole
 def test_predictor_nested_vmap_and_gradient_equal_a_loop(prediction, plain_truth):
     predict, _ = prediction
     values, jacobians = plain_truth

@@ -27,6 +27,7 @@ def block(page: str, begins: str) -> str:
     return found
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("case", "page", "table"),
     [

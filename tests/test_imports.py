@@ -258,6 +258,7 @@ def test_the_rooms_of_the_design_page_are_those_of_the_package_in_the_order_of_t
     assert [LEVEL[room] for room in named] == sorted(LEVEL[room] for room in named)
 
 
+@pytest.mark.whole
 def test_run_is_a_function_also_after_somebody_imported_it_as_a_module():
     code = "import hsed_jax\n"
     for statement in ("import hsed_jax.run", "from hsed_jax.run import main"):

@@ -177,6 +177,7 @@ def test_masses_that_are_changed_without_the_stiffness_are_doubted_with_what_to_
     assert holds(built, A=STIFFNESS / MASS * factor * study.structure.masses[0])
 
 
+@pytest.mark.whole
 def test_a_calibration_and_its_comparison_say_that_masses_do_not_go_with_the_stiffness(tmp_path, capsys):
     study, _ = init(tmp_path / "floors", floors_campaign(displacement_1="elongation"), capsys)
     structure = study.structure.model_copy(update={"masses": [MASS]})

@@ -153,6 +153,7 @@ def test_log_posterior_is_that_of_the_contrasts_and_the_priors(kernel, trend, ob
     observed("Kriging: ratio of posterior densities of lengths and nugget", "density of the contrasts", error, 1e-8)
 
 
+@pytest.mark.whole
 @pytest.mark.verification("design")
 @pytest.mark.parametrize(
     ("kernel", "trend", "n"), [("matern52", "constant", 43), ("matern32", "linear", 20), ("gaussian", "quadratic", 30)]

@@ -81,6 +81,7 @@ def test_no_candidate_needs_more_stroke_or_path_than_the_test(has_time):
     assert {rate for *_, rate in found} == ({0.01, 0.001} if has_time else {0.01})
 
 
+@pytest.mark.whole
 def test_a_loading_separates_what_one_growing_test_does_not(once):
     problem, search, models = once
     assert problem.simulator is not None and problem.visited is not None

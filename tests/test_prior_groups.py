@@ -62,6 +62,7 @@ def line(theta, conditions):
     return theta[:1] + theta[1] * conditions["x"], jnp.asarray(True)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", ["alone", "population"])
 def test_the_derivatives_are_those_of_the_density_in_either_coordinates(posteriors, kind):
     posterior, _ = posteriors[kind]

@@ -45,6 +45,7 @@ def straight(chains, bend):
     return np.stack([a, b + bend * a**2], axis=-1)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("factor", "is_weighed"), [(1.0, True), (0.8, True), (2.5, False)])
 def test_draws_are_exact_whatever_the_emulator(monkeypatch, factor, is_weighed):
     posterior, data, maximum = ridge(0.3)
@@ -90,6 +91,7 @@ def test_where_a_polynomial_is_not_enough_nuts_asks_the_simulator(seed):
     assert theta.mean() == pytest.approx(mean, abs=4 * error) and theta.std() == pytest.approx(sd, abs=4 * error)
 
 
+@pytest.mark.whole
 def test_chains_that_diverge_are_moved_on_until_their_draws_are_those_of_the_posterior():
     # A thin bent ridge: the emulator is exact there, and its chains still diverge and hardly reach the ends.
     posterior, data, maximum = ridge(1.0, thin=0.2)
@@ -107,6 +109,7 @@ def test_chains_that_diverge_are_moved_on_until_their_draws_are_those_of_the_pos
     np.testing.assert_allclose(log_densities, expected, rtol=1e-6)
 
 
+@pytest.mark.whole
 def test_draws_are_settled_where_they_are_right_and_not_where_they_are_not(monkeypatch):
     # (a, b + a²) is normal; the draws begin in the middle of the ridge, and short ways along it lead nowhere soon.
     monkeypatch.setattr(moves, "_LOOK", 5)
@@ -207,6 +210,7 @@ def test_chains_stopped_and_taken_up_again_have_the_draws_of_chains_left_alone(m
     assert not np.array_equal(drawn(posterior, other, maximum, LONG, watch=watch).theta, whole.theta)
 
 
+@pytest.mark.whole
 def test_a_budget_leaves_the_draws_there_are_and_says_so():
     posterior, data, maximum = ridge(0.3)
     settings = Settings(2, 50, 100_000)
@@ -373,6 +377,7 @@ def test_draws_hold_both_modes_in_proportion(pair, pair_grid, sampler, observed)
     assert fit.warning == maximum.warning(posterior.names) and "2 modes" in str(fit)
 
 
+@pytest.mark.whole
 def test_a_short_adaptation_ends_with_a_step_that_moves():
     # Of a standard normal, in whitened coordinates, a step of about one is accepted four times of five.
     posterior, data, maximum = ridge(0.0)

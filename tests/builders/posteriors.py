@@ -34,4 +34,5 @@ def drawn(posterior, data, maximum, settings, seed=0, **more):
     return draw(posterior, data, maximum, jnp.asarray(0.8), jax.random.key(seed), settings, **more)
 
 
-EXACT = pytest.mark.parametrize("sampler", ["nuts", "importance"])
+# A chain takes ten times as long as weighted draws.
+EXACT = pytest.mark.parametrize("sampler", [pytest.param("nuts", marks=pytest.mark.whole), "importance"])
