@@ -103,7 +103,7 @@ def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], historie
 
 
 def _without(values: Float[np.ndarray, "B n"], first: int) -> Float[Array, "B n"]:
-    """Values without the first ones; the last value is repeated in their place, after the end."""
+    """The columns after the first ones; the last column is repeated, so that the shape stays."""
     return jnp.asarray(np.pad(values[:, first:], ((0, 0), (0, first)), mode="edge"))
 
 

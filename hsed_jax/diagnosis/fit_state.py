@@ -46,6 +46,8 @@ class Target:
         r"""√w times the innovations of differences d of outputs, SI, in units of their errors (`inference.likelihood.whitened`):
 
         $$\sqrt{w_k}\,\frac{d_k/\sigma_k - \rho_k\,d_{k-1}/\sigma_{k-1}}{\sqrt{1-\rho_k^2}}.$$
+
+        The difference of a sample without weight counts as zero.
         """
         own, before = (factors[use][rows] for factors in self._factors)
         found = own * difference
