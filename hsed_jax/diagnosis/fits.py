@@ -77,6 +77,7 @@ class Fits:
     def __init__(self, models: NestedModels, law: Int[np.ndarray, " p"], effects: Mapping[str, Forms]):
         self.models, self.law, self.effects = models, law, effects
         self._known: dict[Choice, FitState] = {}
+        # The same choices by their set: a search asks for them thousands of times.
         self._of: dict[Set, list[Choice]] = {}
         self._hopeless: set[Choice] = set()
         self._evidence: dict[Choice, tuple[FitState, float]] = {}
