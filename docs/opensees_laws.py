@@ -64,7 +64,7 @@ small error on the fitted part is not sufficient: a law with more parameters fit
 (`protocol.csv`) and compares it with the simulation. `check.json` and the head of the scripts have the difference (root
 mean square, over the standard deviation of the force) and the version of OpenSees. `report.html` of the run states
 both. In another version an argument may have another meaning: run `python specimen.py protocol.csv` with that version,
-and compare with the second column of `protocol.csv`. `tests/test_opensees_laws.py` does this for every material; the
+and compare with the second column of `protocol.csv`. `tests/models/test_opensees_laws.py` does this for every material; the
 test allows 1 %.
 
 ## Materials

@@ -64,7 +64,7 @@ structure, a motion or a record that was changed by hand.""",
 OpenSees pulls each of them along growing cycles.
 The error is the root mean square of the difference over the standard deviation of the force. Materials of OpenSees that
 integrate their force are of first order in the step, and have most of the error. `python docs/verification.py
-tests/test_export.py -m verification` measures every case of the export.""",
+tests/exports/test_export.py -m verification` measures every case of the export.""",
     ),
     "inference": (
         "Calibration, evidence and sensitivity",
@@ -178,7 +178,7 @@ and tolerance do not, and every run of the tests compares them with this manual.
 
 ```
 python docs/verification.py          # measures every row again, and writes these pages
-python docs/verification.py tests/test_laws.py -n 0    # measures the rows of one file
+python docs/verification.py tests/physics/test_laws.py -n 0    # measures the rows of one file
 python benchmarks/baseline.py        # repeats a small calibration, design step and diagnosis with frozen results
 ```
 """

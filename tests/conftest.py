@@ -1,4 +1,4 @@
-"""The paper's structure and simulator, the shared data, the reference table: and a browser: what several test files use."""
+"""The paper's structure and simulator, the shared data, the reference table, and a browser: what several test files use."""
 
 import gc
 import os
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import pandas as pd
 import pytest
 import shape_checks
+from builders.places import SHARED, TESTS
 from observations import Observed
 
 import hsed_jax
@@ -30,13 +31,10 @@ limit_threads()
 # A process may map 65 530 pieces of memory on Linux, a compiled program is several, and beyond that the compiler crashes.
 MOST_PIECES = 25_000
 
-REFERENCE = Path(__file__).with_name("data") / "reference_quantities.csv"
+REFERENCE = TESTS / "data" / "reference_quantities.csv"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell's background jobs ignore Ctrl-C, and so would the processes that the tests interrupt.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-SHARED = Path(__file__).resolve().parents[2] / "shared"
-
 
 # Default tests take most of their time in compiling small cases that run for milliseconds.
 QUICK = "JAX_DISABLE_MOST_OPTIMIZATIONS"

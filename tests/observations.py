@@ -7,13 +7,13 @@ their tolerances, but not their errors, which differ between machines.
 
 import json
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from builders.places import ROOT
 
-KEPT = Path(__file__).parents[1] / "docs" / "verification" / "observed.json"
+KEPT = ROOT / "docs" / "verification" / "observed.json"
 PROPERTY = "observed"
 # What a row says besides its error, which may differ.
 WORDS = ("chapter", "problem", "reference", "tolerance")

@@ -11,11 +11,11 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from builders.places import ROOT
 
 from hsed_jax.backend import _TRIED_FROM, _TRIED_TO, cache_folder
 from hsed_jax.programs import program
 
-ROOT = Path(__file__).parents[1]
 STATE = """
 import os, warnings
 def state():

@@ -3,11 +3,11 @@
 import ast
 import os
 import stat
-from pathlib import Path
 
 import pytest
 import xarray as xr
 from builders import run_folders
+from builders.places import ROOT
 from matplotlib.figure import Figure
 
 from hsed_jax.command_line import main
@@ -18,7 +18,7 @@ from hsed_jax.runs.folder import RunFolder
 from hsed_jax.sweeps.folder import SweepFolder, note
 from hsed_jax.sweeps.plan import Plan
 
-PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
+PACKAGE = ROOT / "hsed_jax"
 STUDY = {"study": "x", "seed": 0}
 MINE = b"what somebody wrote for hours"
 

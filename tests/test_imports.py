@@ -8,8 +8,9 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import pytest
+from builders.places import ROOT, TESTS
 
-PACKAGE = Path(__file__).resolve().parents[1] / "hsed_jax"
+PACKAGE = ROOT / "hsed_jax"
 LEVELS = (
     ("drafts", "errors", "backend", "interruptions", "tables"),
     ("exit_status", "left_out", "memory", "plain", "programs"),
@@ -287,9 +288,15 @@ def borrowed(source: str) -> list[str]:
     return faults + [ast.unparse(node) for node in made]
 
 
-@pytest.mark.parametrize("path", sorted(Path(__file__).parent.rglob("*.py")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", sorted(TESTS.rglob("*.py")), ids=lambda path: path.name)
 def test_a_test_needs_no_other_test_and_no_object_that_was_never_made(path):
     assert borrowed(path.read_text(encoding="utf-8")) == []
+
+
+def test_the_folders_of_the_tests_are_those_of_the_repository():
+    """A test is where what it tests is: in the folder of a package, of the benchmarks or of the documentation."""
+    folders = {path.parent.relative_to(TESTS).as_posix() for path in TESTS.rglob("test_*.py")}
+    assert folders <= {".", "benchmarks", "docs", *(path.parent.name for path in PACKAGE.glob("*/__init__.py"))}
 
 
 @pytest.mark.parametrize("source", ["from test_a import B", "import test_a", "x = object.__new__(Fit)"])

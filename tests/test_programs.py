@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from builders.places import ROOT
 
 from hsed_jax.programs import program
 
@@ -191,7 +192,7 @@ print(len(traced), float(table.quantities["dissipated_energy"].sum()))
 
 @pytest.mark.whole
 def test_a_new_process_finds_what_the_last_one_traced(tmp_path):
-    root = Path(__file__).parents[1]
+    root = ROOT
     environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "PYTHONPATH": str(root)}
     told = []
     for _ in range(2):

@@ -38,7 +38,7 @@ _CHUNK = 256
 _COLUMNS = 15
 # Log-normal prior of the nugget: median and spread of the logarithm.  With it and that of the lengths 90 % bands hold
 # 85 to 95 % of a Matérn field and of the paper's discrepancy, from 8 to 40 points, with noise and without
-# (tests/test_kriging.py); longer lengths and a zero nugget need evidence from the data.
+# (tests/design/test_kriging.py); longer lengths and a zero nugget need evidence from the data.
 _NUGGET, _NUGGET_SPREAD = 0.007, 2.0
 # Relative to the responses' own variance, anything smaller is rounding: an exact trend, or constant responses.
 _LEAST_VARIANCE = 1e-24

@@ -49,7 +49,7 @@ STEPS_PER_STEP = 50
 """Steps of OpenSees to one of the study's integration, some 1200 to the shortest period.
 
 Its materials are first order in the step; peaks of BoucWen are then good to 0.05 %, with the paper's degradation to 0.3 %
-(tests/test_opensees.py).
+(tests/laboratories/test_opensees.py).
 """
 
 

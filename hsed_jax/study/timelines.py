@@ -22,7 +22,7 @@ from hsed_jax.study.excitations import LOWEST
 from hsed_jax.study.experiments import Experiments
 from hsed_jax.study.mechanics import AbstractMechanics
 
-# The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/test_response.py).
+# The integration resolves the shortest period with this many steps; peaks are then good to 1e-4 (tests/physics/test_response.py).
 _STEPS_PER_PERIOD = 24
 _MOST_STEPS = 1_000_000
 # Samples of a planned history; an imposed cycle has at least four per quarter.
