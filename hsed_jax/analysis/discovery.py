@@ -165,10 +165,11 @@ class _Beside:
         """The reason why the predictions with a place are not sufficient, in a sentence; empty if they are."""
         words, before, floor = best.place.words, self._before, self.problem.train.noise**2
         if not now.error < before.error or before.error**2 - now.error**2 < _MATERIAL * (before.error**2 - floor):
-            return f"{words} reduces the error on experiments that were not used only from {before.error:.3f} to {now.error:.3f}"
+            change = f"from {before.error:.3f} to {now.error:.3f}"
+            return f"{words} reduces the error on experiments that were not fitted only {change}"
         if not now.gain.total > now.gain.standard_error:
             return (
-                f"{words} reduces the squared error on experiments that were not used by only {now.gain.total:.2g} ± "
+                f"{words} reduces the squared error on experiments that were not fitted by only {now.gain.total:.2g} ± "
                 f"{now.gain.standard_error:.2g}"
             )
         return ""

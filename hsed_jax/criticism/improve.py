@@ -16,7 +16,7 @@ class Step:
 
     Attributes:
         effects: added so far.
-        error_train, error_test: normalised errors; test: of experiments that were not used, None without them.
+        error_train, error_test: normalised errors; test: of experiments that were not fitted, None without them.
         parameters: θ_MAP by name, SI.
     """
 
@@ -50,7 +50,7 @@ class Trail(Tabular):
         """The reduction of the error, on held-out experiments if they exist."""
         first, last = self.steps[0], self.steps[-1]
         ends = [error_cell(s.error_train if last.error_test is None else s.error_test) for s in (first, last)]
-        which = "the fitted experiments" if last.error_test is None else "experiments that were not used"
+        which = "the fitted experiments" if last.error_test is None else "experiments that were not fitted"
         if len(self.steps) == 1:
             return f"nothing was added: the error on {which} is {ends[0]} (noise {self.noise_floor:.3f})"
         return f"the error on {which} {error_change(*ends)} (noise {self.noise_floor:.3f})"

@@ -288,7 +288,7 @@ class Diagnosis(Tabular):
     def sentence(self) -> str:
         """The verdict in words."""
         change = error_change(*(error_cell(errors[1]) for errors in (self.error, self.error_after)))
-        fall = f"the error on experiments that were not used {change}"
+        fall = f"the error on experiments that were not fitted {change}"
         named = " and ".join(self.called(e) + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects)
         errors = f"error {self.error[0]:.3f}, noise {self.noise_floor:.3f}"
         if self.verdict == "adequate":
@@ -296,7 +296,7 @@ class Diagnosis(Tabular):
         if self.verdict == "undecided":
             return (
                 "whether anything is missing cannot be said: nothing is known of the noise, and no effect predicts "
-                f"what was not used so much better that it need not be (error {self.error[0]:.3f})"
+                f"what was not fitted so much better that it need not be (error {self.error[0]:.3f})"
             )
         if self.verdict == "unexplained" and self.opened and self.is_explained:
             return f"the priors exclude this specimen, and no effect is missing: {self._beyond}; widen them"

@@ -174,10 +174,6 @@ class Fits:
         self._store(self._go_on(target, {choice: self._known[choice].x for choice in lead}))
         self._reconcile(target, lead)
 
-    def look_again(self, target: Target, choices: Sequence[Choice]) -> None:
-        """Fit choices again, from points spread over the priors of their effects: with other errors, the optimum may differ."""
-        self._fit_from(target, {c: self._all_over(self._known[c].x, c) for c in choices})
-
     def look_all_over(self, target: Target, rows: Int[np.ndarray, " r"]) -> None:
         """Fit each effect alone, in its default form, from points spread over the priors of law and effect.
 

@@ -124,6 +124,16 @@ def material(noise: float, before: float, now: float) -> float:
     return min(MATERIAL * max(before**2 - noise**2, 0.0), noise**2 + MATERIAL * max(now**2 - noise**2, 0.0))
 
 
+def largest_alike(noise: float, before: float, now: float) -> float:
+    """The largest error on held-out data that is not materially larger than that of another model.
+
+    Arguments:
+        noise, before: as in `material`.
+        now: error of the other model.
+    """
+    return math.sqrt(now**2 + material(noise, before, now))
+
+
 def explained_share(noise: float, before: float, after: float) -> float:
     """Share of the squared error of the first model beyond the noise that another model removes, from 0 to 1.
 

@@ -4,7 +4,8 @@ Forward steps add the effect with the best support.  After each step, all models
 more, one exchanged for another or for a pair), so that a wrong step can be reversed.  The evidence of the fits selects the models
 to score: by the log density of data that a model was not fitted to (`hsed_jax.diagnosis.score`), or by the evidence if the noise
 explains the best fit.  A further effect always needs the score.  Sets of k out of K effects share the prior probability of their
-size, $2^{-k-1}/\binom{K}{k}$, so that a catalogue of thirty candidates does not favour a false effect.
+size, $2^{-k-1}/\binom{K}{k}$, so that a catalogue of thirty candidates does not favour a false effect.  Test experiments are not
+fitted; at the end, they choose between the fitted sets.
 
 **The errors of the models are estimated, not assumed.**  No specimen follows a textbook formula exactly.  All models of a round
 are therefore judged with the same errors: the error of an output is the declared one or the residual of the best model, whichever
@@ -24,7 +25,7 @@ from hsed_jax.diagnosis.measured import Measured, Standard
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import Forms, amplitude_of, of_other_drivers, of_other_shapes
 from hsed_jax.diagnosis.propose import beside, pairs, predicted_gains_of
-from hsed_jax.diagnosis.score import MATERIAL, ODDS, Gain, HeldOut, material, weights_of
+from hsed_jax.diagnosis.score import ODDS, Gain, HeldOut, largest_alike, material, weights_of
 from hsed_jax.diagnosis.scores import Linearisation, score_p_value, telling
 from hsed_jax.errors import UserError
 
@@ -42,8 +43,8 @@ _OTHERS, _BESIDE = 3, 2
 # All forms are fitted of this many sets (three times as many without a named effect), if they are at most this many nats below
 # the set with the largest evidence, or gain at least half as much.
 _DEEP, _NEAR = 2, 10.0
-# Number of leading sets that are fitted again from new starts, once the errors are known.
-_AGAIN = 2
+# Number of leading sets of a search over fewer experiments that are fitted to all experiments.
+_ADOPTED = 2
 # Number of drivers for which all shapes of a form are fitted, if one of them may be the most probable form.
 _DRIVERS = 2
 
@@ -59,8 +60,7 @@ class Search:
         is_explained: whether the noise explains the size of the residual of a fit; if it does, an effect is added only if a
             score test is significant.
         report: receives the current activity, for a progress bar.
-        test: experiments that are never fitted, in the rows after the measured ones.  An effect is not named if the model with it
-            predicts them worse than the first model (without effects).
+        test: experiments that are never fitted, in the rows after the measured ones.  At the end, they choose between the sets.
         start: known x of the first model, (P,): one of the starts of its fit.
 
     Attributes:
@@ -134,13 +134,12 @@ class Search:
 
     def adopt(self, coarse: "Search") -> None:
         """Judge the sets of a search over fewer experiments: the best one (also less one effect), its path, the leading ones."""
-        sets = dict.fromkeys(
-            [coarse.best, *less_one(coarse.best), *coarse.path, *(m.effects for m in coarse.all()[:_AGAIN])]
-        )
+        leading = [m.effects for m in coarse.all()[:_ADOPTED]]
+        sets = dict.fromkeys([coarse.best, *less_one(coarse.best), *coarse.path, *leading])
         choices = {coarse._fits.top(s): [coarse._fits.best(s).x] for s in sets if s}
         self._fits.fit(self.standard.target, choices, choices)
         self.best, self.path = coarse.best, coarse.path
-        self._judge(anew=False)
+        self._judge()
         self._score(is_over=True)
 
     def model(self, effects: Iterable[str]) -> Model:
@@ -164,15 +163,13 @@ class Search:
 
     def odds(self, one: Set, other: Set) -> float:
         """Odds of one set against another by their scores."""
-        fits = [self._fits.best(effects) for effects in (one, other)]
-        priors = np.asarray([self._log_prior(len(effects)) for effects in (one, other)])
-        weights = weights_of(self.held_out.densities(self.standard.target, fits), priors)
+        densities = self.held_out.densities(self.standard.target, [self._fits.best(s) for s in (one, other)])
+        weights = weights_of(densities, np.asarray([self._log_prior(len(s)) for s in (one, other)]))
         return float(weights[0] / max(weights[1], 1e-300))
 
     def gains(self, chosen: Sequence[Set], over: Set) -> list[Gain]:
         """Gain of sets over another set in log density, by piece of the held-out data [nats]."""
-        fits = [self._fits.best(effects) for effects in (over, *chosen)]
-        before, *after = self.held_out.densities(self.standard.target, fits)
+        before, *after = self.held_out.densities(self.standard.target, [self._fits.best(s) for s in (over, *chosen)])
         return [Gain(own - before) for own in after]
 
     def pointed_at(self, chosen: Set) -> Set:
@@ -191,16 +188,21 @@ class Search:
         if self.held_out.test is not None:
             before, unseen = self.unseen([here, larger])
             if not unseen <= before:
-                return "the model predicts the experiments that were not used better without it"
+                return "the model predicts the experiments that were not fitted better without it"
         return self._unsupported(larger, here)
 
     def _smallest_that_predicts(self) -> Set:
-        """The smallest set of the path with the least test error, up to what is not material or noise.  The choice is made last:
-        one effect may predict worse than the plain law, and better with a second effect."""
-        unseen, is_noise = self.unseen(self.path), self._is_explained(self._fits.best(self.best))
-        limit = min(unseen) ** 2 + material(self.measured.noise, unseen[0], min(unseen))
-        alike = [s for s, e in zip(self.path, unseen, strict=True) if e**2 <= limit or (is_noise and s == self.best)]
-        return min(alike, key=lambda s: (len(s), s != self.best))
+        """The smallest set with the least test error, up to what is not material.
+
+        The choice is made last and between all fitted sets: what describes the fitted experiments best may predict others badly.
+        If the noise explains the best set, the evidence is exact, and only the sets of the path are compared with it.
+        """
+        is_noise = self._is_explained(self._fits.best(self.best))
+        sets = self.path if is_noise else [m.effects for m in self.all()]
+        unseen = dict(zip(sets, self.unseen(sets), strict=True))
+        limit = largest_alike(self.measured.noise, unseen[Set()], min(unseen.values()))
+        alike = [s for s, error in unseen.items() if error <= limit or (is_noise and s == self.best)]
+        return min(alike, key=lambda s: (len(s), is_noise and s != self.best, unseen[s]))
 
     def _unsupported(self, larger: Set, here: Set) -> str | None:
         """The reason why the fitted measurements do not support a set with more effects than another one; None without one."""
@@ -216,7 +218,7 @@ class Search:
         return None
 
     def exchange(self, effect: str, other: str, driver: str, is_right: Callable[[Model], bool]) -> bool:
-        """Exchange an effect of the best set for one with the same behaviour, if that explains nearly as much; whether it does.
+        """Exchange an effect of the best set for one with the same behaviour, if that predicts about as well; whether it does.
 
         Arguments:
             effect: of the best set.
@@ -228,14 +230,11 @@ class Search:
         forms = [(other, label) for label, form in self.effects[other].items() if form.form.driver in ("", driver)]
         for own in (forms[:1], forms[1:]):  # the other forms start near the first one
             self._fits.fit(self.standard.target, [rest | {form} for form in own])
-        fits = [self._fits.best(effects) for effects in (Set(), self.best, instead)]
-        before, now, then = self.held_out.errors(self.standard.target, fits)
-        if before**2 - then**2 < (1 - MATERIAL) * (before**2 - now**2) or not is_right(self.model(instead)):
+        before, now, then = self.unseen([Set(), self.best, instead])
+        if then > largest_alike(self.measured.noise, before, now) or not is_right(self.model(instead)):
             return False
         self.best = instead
         self.path.append(instead)
-        # The ranking compares the set with the sets that lack one of its effects.
-        self._fits.fit(self.standard.target, [self._in_forms(less) for less in less_one(instead)])
         self._score(is_over=True)
         return True
 
@@ -245,7 +244,7 @@ class Search:
         submodel, starts = self.models.submodel(self.law), self._fits.starts_of_law()
         tasks = [Task(submodel, start, rivals=0) for start in starts]
         tasks += [] if self._start is None else [Task(submodel, self._start)]
-        fit = None
+        fit: FitState | None = None
         for _ in range(2):
             ends = self.models.fit(self.standard.target, tasks)
             fit = min(ends, key=lambda f: f.cost)
@@ -312,26 +311,25 @@ class Search:
                     choices += [own - {(effect, label)} | {(effect, o)} for o in others(self.effects[effect], label)]
             self._fits.fit(self.standard.target, dict.fromkeys(choices))
 
-    def _judge(self, anew: bool = True) -> None:
-        """Judge all sets with the errors of the best fit, and fit the leading ones `anew`, from points all over their priors."""
+    def _judge(self) -> None:
+        """Judge all sets with the errors of the best fit."""
         around = self._around()
         for _ in range(2):
             self.standard = self.measured.standard(self._lowest().predicted, self.held_out.folds.fitted)
             self._fits.judge(self.standard.target, around)
-        if anew and (self.best or self.is_open()):
-            ranked = sorted(map(self.model, around), key=lambda m: -m.log_posterior)
-            first = [m.effects for m in ranked if m.effects][:_AGAIN]
-            self._fits.look_again(self.standard.target, [self._fits.top(s) for s in first])
 
     def _score(self, is_over: bool = False) -> None:
         """Give the leading choices their probabilities, from their scores or their evidence.
 
-        All other choices have none, and neither has a choice that predicts the test experiments worse than the first model.  When
-        the search `is_over`, larger sets than the best one are rejected ones, and count only if they contain its effects.
+        All other choices have none, and neither has one that predicts the test experiments worse than the first model.  When the
+        search `is_over`, larger sets than the best one count only if they contain its effects; unless the noise explains the
+        best set, a choice with a materially larger test error has no probability.
         """
         self._report("what they predict of what is left out")
-        near = [s for s in (Set(), self.best, *less_one(self.best)) if s in self._fits]
-        always = [self._fits.top(s) for s in near]
+        if is_over:
+            # The ranking compares the best set with the sets that lack one of its effects.
+            self._fits.fit(self.standard.target, [self._in_forms(less) for less in less_one(self.best)])
+        always = [self._fits.top(s) for s in (Set(), self.best, *less_one(self.best)) if s in self._fits]
         counted = [s for s in self._around() if not is_over or len(s) <= max(len(self.best), 1) or s > self.best]
         ranked = sorted(map(self.model, counted), key=lambda m: -m.log_posterior)
         likely = [choice for m in ranked[:_POOL] for choice in self._fits.likeliest(m.effects, _FORMS)]
@@ -341,7 +339,10 @@ class Search:
         densities = np.asarray(evidence) if self.by_evidence else self.held_out.densities(self.standard.target, fits)
         if self.held_out.test is not None:
             unseen = np.asarray(self.held_out.unseen(self.standard.target, fits))
-            densities[unseen > unseen[pool.index(frozenset())]] = -np.inf
+            first, best = (float(unseen[pool.index(self._fits.top(s))]) for s in (Set(), self.best))
+            if is_over and not self._is_explained(self._fits.best(self.best)):
+                first = min(first, largest_alike(self.measured.noise, first, best))
+            densities[unseen > first] = -np.inf
         priors = np.asarray([self._log_prior(len(choice)) + self._fits.log_share(choice) for choice in pool])
         self._fits.probabilities = dict(zip(pool, weights_of(densities, priors).tolist(), strict=True))
 
@@ -364,8 +365,7 @@ class Search:
             return True
         if len(self.best) == MOST_EFFECTS or not self.is_open():
             return False
-        fits = [self._fits.best(effects) for effects in (Set(), self.best)]
-        before, now = self.held_out.errors(self.standard.target, fits)
+        before, now = self.held_out.errors(self.standard.target, [self._fits.best(s) for s in (Set(), self.best)])
         # The actual noise may be smaller than its expectation, by this share of its square.
         by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
         return now**2 - max(1 - by_chance, 0.0) * self.measured.noise**2 >= material(self.measured.noise, before, now)

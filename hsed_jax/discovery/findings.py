@@ -202,7 +202,7 @@ class Discovery(Tabular):
         beside = f" beside {' and '.join(self.effects)}" if self.effects else ""
         return (
             f"learned{beside}: {self.place.words}, {self.formula} (probability {cell(self.probability)}); the error on "
-            f"experiments that were not used {error_change(error_cell(self.error[1]), error_cell(self.error_test))}"
+            f"experiments that were not fitted {error_change(error_cell(self.error[1]), error_cell(self.error_test))}"
         )
 
     def summary(self) -> dict[str, Any]:

@@ -134,7 +134,7 @@ def error_fall(trail: Trail) -> Picture:
     panel.stairs(train, edges, baseline=None, color=style.BLUE, linewidth=3.5, alpha=0.45, label="train: fitted")
     if np.isfinite(test).any():
         panel.stairs(test, edges, baseline=None, color=style.BLACK, linewidth=1.2, linestyle=_DASHES,
-                     label="test: not used")  # fmt: skip
+                     label="test: not fitted")  # fmt: skip
     panel.axhline(trail.noise_floor, color=style.DARK_GREY, linestyle=":", linewidth=1.3, zorder=1, label="noise floor")
     for place, (step, both) in enumerate(zip(steps, zip(train, test, strict=True), strict=True)):
         if texts := _errors_of(step):
@@ -152,7 +152,7 @@ def error_fall(trail: Trail) -> Picture:
     return Picture(
         figure,
         "Normalised error of the model as it was and after each added effect, on the experiments that were fitted and on "
-        "those that were not used, against the error of the noise alone (shaded).",
+        "those that were not fitted, against the error of the noise alone (shaded).",
         f"A falling staircase of {len(steps)} steps. {'; '.join(said)}; noise floor {style.amount(trail.noise_floor)}.",
     )
 

@@ -77,7 +77,7 @@ def _improved(summary: Mapping[str, Any]) -> str:
     last, comparison = rest[-1], improvement["comparison"]
     key, which = "error_train", "the fitted experiments"
     if "test" in comparison:
-        key, which = "error_test", "experiments that were not used"
+        key, which = "error_test", "experiments that were not fitted"
     sizes = last.get("parameters", {})
     added = " and ".join(style.words(called(effect, sizes)) for effect in last["effects"])
     change = error_change(error_text(first, key), error_text(last, key))

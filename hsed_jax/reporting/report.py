@@ -240,7 +240,7 @@ def _ranking(run: FinishedRun) -> dict[str, Any]:
         "probability",
         "predicts better by",
         "error, fitted",
-        "error, not used",
+        "error, not fitted",
     ]
     rows, named = [], []
     for candidate in diagnosis["ranking"][:_SHOWN]:

@@ -13,7 +13,7 @@ from hsed_jax.reporting import style
 HOSTILE = "</script><script>alert('x')</script>"
 IDS = ("E01", "E02", "T01")
 ERRORS = {"before": {"E01": 0.30, "E02": 0.40, "T01": 0.35}, "after": {"E01": 0.05, "E02": 0.06, "T01": 0.055}}
-SENTENCE = "missing is hardening: the error on experiments that were not used goes from 0.350 to 0.055"
+SENTENCE = "missing is hardening: the error on experiments that were not fitted goes from 0.350 to 0.055"
 
 
 def split_of(id):

@@ -413,7 +413,7 @@ def test_an_effect_that_raises_the_error_of_what_nothing_is_fitted_to_is_not_nam
         found.start()
         found.run()
         assert "effect_3" not in found.best
-        assert "not used" in found.obstacle(frozenset({"effect_3"}), frozenset())
+        assert "not fitted" in found.obstacle(frozenset({"effect_3"}), frozenset())
 
 
 def test_what_predicts_the_test_split_worse_than_the_model_as_it_is_has_no_probability():
@@ -446,7 +446,7 @@ def test_an_effect_may_predict_the_test_split_worse_on_the_way_to_a_set_that_pre
     one, both = found.unseen([frozenset({"effect_3"}), frozenset({"effect_3", "effect_5"})])
     assert one < both
     assert found.best == ({name for name, size in known.items() if size} if sixth else {"effect_3"})
-    assert "not used" in found.obstacle(frozenset({"effect_3", "effect_5"}), frozenset({"effect_3"}))
+    assert "not fitted" in found.obstacle(frozenset({"effect_3", "effect_5"}), frozenset({"effect_3"}))
 
 
 @pytest.mark.parametrize("is_explained", [True, False])
@@ -463,6 +463,40 @@ def test_of_sets_of_one_size_a_few_test_experiments_do_not_decide_where_the_nois
     found._fits.best(other).x[COLUMNS["effect_1"]] = 0.6
     assert found.unseen([other])[0] < found.unseen([best])[0]
     assert found._smallest_that_predicts() == (best if is_explained else other)
+
+
+@pytest.mark.parametrize("is_explained", [False, True])
+def test_between_all_fitted_sets_the_test_experiments_decide_unless_the_noise_explains_the_best(is_explained):
+    # In the fitted experiments one effect is nearly the other one, which is there; in the test experiments it is the larger one.
+    here, there = FUNCTIONS.copy(), FUNCTIONS[:, ::-1]
+    here[COLUMNS["effect_1"]] = 0.9 * FUNCTIONS[COLUMNS["effect_3"]] + 0.44 * FUNCTIONS[COLUMNS["effect_1"]]
+    values = data_of(3, effect_3=0.6)
+    sizes = 0.6 * (np.arange(K) == 1) + 0.4 * (np.arange(K) == 3)
+    unlike = np.einsum("k,knj->nj", np.concatenate([[1.5, -0.7], sizes]), there)
+    models = NestedModels(Dictionary(np.concatenate([here, there], axis=1)), BOX, np.zeros(2 + K))
+    found = Search(models, measured_of(values), LAW, EFFECTS, lambda fit: is_explained and len(fit.free) > 2,
+                   test=measured_of(unlike))  # fmt: skip
+    found.start()
+    found.run()
+    one, other = frozenset({"effect_3"}), frozenset({"effect_1"})
+    assert one in found.path and other not in found.path
+    assert found.unseen([other])[0] < found.unseen([one])[0]
+    assert found.best == (one if is_explained else other)
+    assert (found.model(one).probability == 0) is not is_explained
+    # The ranking compares the named set with the one that lacks its effect.
+    assert found.model(found.best).probability > 0.5
+
+
+def test_another_name_is_not_taken_where_it_predicts_the_test_experiments_worse():
+    for differs in (False, True):
+        _, search = rival_case(0.15)
+        search.best = frozenset({"effect_0"})
+        fit = search.model(search.best).fit
+        ((there,), _) = search.models.predict([(fit.x, fit.submodel)], N + np.arange(MORE))
+        search.held_out.test = measured_of(there + SIGMA * np.random.default_rng(0).standard_normal(there.shape))
+        # In the test experiments of the second case the other effect does nothing.
+        search.models.batch.functions[COLUMNS["effect_2"], N:] *= not differs
+        assert search.exchange("effect_0", "effect_2", "", lambda model: True) is not differs
 
 
 def test_no_model_fits_worse_than_one_that_it_contains_or_than_a_larger_one_without_its_effect():
@@ -830,7 +864,7 @@ def test_look_alikes_are_what_the_evidence_does_not_exclude(unlike, alike):
 
 
 @pytest.mark.parametrize(("unlike", "is_taken"), [(0.15, True), (0.6, False)])
-def test_another_name_is_taken_where_its_effect_explains_nine_tenths(unlike, is_taken):
+def test_another_name_is_taken_where_its_effect_predicts_about_as_well(unlike, is_taken):
     # Of the hidden function the other one explains 1 / (1 + unlike²).
     _, search = rival_case(unlike)
     search.best = frozenset({"effect_0"})
@@ -1070,7 +1104,7 @@ def test_the_summary_has_the_keys_of_its_contract_and_only_finite_numbers(name, 
 
 def test_it_reads_as_a_sentence_and_a_table(damped, plain):
     text = repr(damped)
-    assert text.startswith("missing_effects: missing is viscous_damping: the error on experiments that were not used")
+    assert text.startswith("missing_effects: missing is viscous_damping: the error on experiments that were not fitted")
     assert f"from {damped.error[1]:.3f} to {damped.error_after[1]:.3f}" in text
     assert all(len(line) <= 200 for line in text.splitlines()) and "nan" not in text
     assert "nothing is missing" in repr(plain)

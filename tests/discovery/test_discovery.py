@@ -340,7 +340,7 @@ def test_what_was_learned_before_keeps_its_name(taken, name):
     assert _Beside._name.fget(beside) == name
 
 
-# --- what was not used -----------------------------------------------------------------------------------------------
+# --- what was not fitted -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("held_out", [0, 1, 3])

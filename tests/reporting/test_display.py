@@ -91,7 +91,7 @@ def test_the_numbers_are_those_of_the_results():
     better = improvement()
     assert (
         repr(better).splitlines()[0]
-        == "the error on experiments that were not used goes from 0.400 to 0.200 (noise 0.050)"
+        == "the error on experiments that were not fitted goes from 0.400 to 0.200 (noise 0.050)"
     )
     assert better.after.verdict in repr(better)
     assert error_change("0.029", "0.029") == "stays at 0.029"

@@ -63,7 +63,7 @@ def test_the_figures_on_the_page_are_those_of_the_summary(folder):
     assert values["noise_floor"] == 0.05
     assert values["probability_hardening"] == 0.9987
     assert 'data-figure-key="probability_hardening">0.999</data><span>probability of hardening' in page
-    said = "With hardening the error on experiments that were not used goes from 0.350 to 0.055 (noise 0.050)."
+    said = "With hardening the error on experiments that were not fitted goes from 0.350 to 0.055 (noise 0.050)."
     assert verdict(read_run(folder)) == f"{said} The noise does not explain the rest."
     missing = page[page.index("<h2>Missing effects") :]
     assert SENTENCE[1:] in missing and said not in missing
