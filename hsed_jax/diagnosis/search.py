@@ -340,9 +340,9 @@ class Search:
         if self.held_out.test is not None:
             unseen = np.asarray(self.held_out.unseen(self.standard.target, fits))
             first, best = (float(unseen[pool.index(self._fits.top(s))]) for s in (Set(), self.best))
-            if is_over and not self._is_explained(self._fits.best(self.best)):
-                first = min(first, largest_alike(self.measured.noise, first, best))
-            densities[unseen > first] = -np.inf
+            decides = is_over and not self._is_explained(self._fits.best(self.best))
+            limit = min(first, largest_alike(self.measured.noise, first, best)) if decides else first
+            densities[unseen > limit] = -np.inf
         priors = np.asarray([self._log_prior(len(choice)) + self._fits.log_share(choice) for choice in pool])
         self._fits.probabilities = dict(zip(pool, weights_of(densities, priors).tolist(), strict=True))
 
