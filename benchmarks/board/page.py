@@ -80,12 +80,15 @@ calibrates the plain law of Bouc and Wen, names the missing effects and adds the
 - a **recurrent network** (gated recurrent units, early stopping, three settings).
 
 Each method knows the elongation of all rows and the force of the fitted rows. It simulates from the start of the test.
+hsed_jax also knows the force of the other rows: it does not fit them, but chooses with them between the sets that it has
+fitted ([how](diagnosis.md)). Its error is therefore a little too small in this comparison.
+
 An error is the RMS of the residual over the RMS of the measured force, on rows that were not fitted. An error of 1 is that of a
 force of zero. A record of more than {MOST_ROWS} rows is thinned ([long records](measurements.md#long-records)).
 
 Two questions are asked. The *last rows* are the last third of a file, or what a campaign declares. In most tests they hold the
 largest cycles, so this question is an extrapolation. *Every third cycle* leaves out cycles 3, 6, 9, ... and fits the others, so
-this question is an interpolation. To hsed_jax these cycles are test experiments, windows of the record.
+this question is an interpolation. To hsed_jax the rows that are not fitted are test experiments, windows of the record.
 
 Seconds are CPU seconds. Those of hsed_jax are of the whole run, from the raw file's study to its report. The runs of
 hsed_jax ended {" to ".join(sorted({min(days), max(days)})) if days else "never"}.
