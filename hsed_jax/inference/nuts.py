@@ -23,6 +23,9 @@ from hsed_jax.inference.maximum import Maximum
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.programs import program
 
+# Number of parameters that a warning names.
+_NAMED = 3
+
 
 class Settings(NamedTuple):
     """Numbers of chains, of adaptation draws and of kept draws per chain, target acceptance, and the sampler."""
@@ -204,15 +207,25 @@ class Convergence(NamedTuple):
 
     def warning(self, names: tuple[str, ...]) -> str | None:
         """The problems of the draws in one sentence, or None."""
-        faults = []
-        for name, rhat, ess in zip(names, self.rhat, self.ess_bulk, strict=True):
-            if not rhat <= 1.01:
-                faults.append(f"R-hat of {name} is {rhat:.3f} (should be at most 1.01)")
-            if not ess >= 400:
-                faults.append(f"bulk ESS of {name} is {ess:.0f} (should be at least 400)")
+        faults: list[str] = []
+        # NaN is a fault, too.
+        if (is_wrong := ~(self.rhat <= 1.01)).any():
+            worst = f"{np.max(self.rhat[is_wrong]):.3f} (should be at most 1.01)"
+            faults.append(f"R-hat of {_some(names, is_wrong, 'up to')} {worst}")
+        if (is_wrong := ~(self.ess_bulk >= 400)).any():
+            worst = f"{np.min(self.ess_bulk[is_wrong]):.0f} (should be at least 400)"
+            faults.append(f"bulk ESS of {_some(names, is_wrong, 'down to')} {worst}")
         if self.divergences:
             faults.append(f"{self.divergences} divergent transitions (should be none)")
         return "; ".join(faults) or None
+
+
+def _some(names: tuple[str, ...], chosen: np.ndarray, reach: str) -> str:
+    """The chosen parameters with their verb: `A is`, or `A, beta, n and 4 others is up to`."""
+    found = [name for name, is_chosen in zip(names, chosen, strict=True) if is_chosen]
+    more = len(found) - _NAMED
+    rest = f" and {more} other{'s' * (more > 1)}" if more > 0 else ""
+    return ", ".join(found[:_NAMED]) + rest + (" is" if len(found) == 1 else f" is {reach}")
 
 
 def convergence(chains: Chains) -> Convergence:

@@ -18,7 +18,7 @@ from hsed_jax.inference.correlation import memory_of
 from hsed_jax.inference.expansion import expand
 from hsed_jax.inference.fit import fit
 from hsed_jax.inference.likelihood import Error, data_of, log_likelihood
-from hsed_jax.inference.nuts import Chains, Settings, convergence
+from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
 from hsed_jax.inference.priors import Prior
@@ -558,6 +558,14 @@ def test_chains_that_crawl_are_named():
     for t in range(1, 500):
         theta[:, t, 0] = 0.99 * theta[:, t - 1, 0] + np.sqrt(1 - 0.99**2) * theta[:, t, 0]
     assert "ESS of A" in convergence(chains_of(theta)).warning(("A", "beta"))
+
+
+def test_a_warning_says_once_what_many_parameters_have():
+    judged = Convergence(np.asarray([1.0, 1.02, 1.0, 1.0, 1.0]), np.asarray([399.0, 100.0, 315.0, 500.0, 200.0]), 0)
+    assert judged.warning(("A", "beta", "n", "gamma", "delta")) == (
+        "R-hat of beta is 1.020 (should be at most 1.01); "
+        "bulk ESS of A, beta, n and 1 other is down to 100 (should be at least 400)"
+    )
 
 
 def test_divergences_are_counted():
