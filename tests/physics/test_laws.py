@@ -2,6 +2,7 @@
 
 import json
 import runpy
+from collections import defaultdict
 from functools import cache
 from itertools import pairwise
 
@@ -20,6 +21,7 @@ from hsed_jax.config.load import load_study
 from hsed_jax.diagnosis.candidates import applicable
 from hsed_jax.errors import UserError
 from hsed_jax.physics.effects import EFFECTS
+from hsed_jax.physics.effects.base import AbstractSpringEffect, SpringPoint
 from hsed_jax.physics.effects.forms import default_form, forms_of, slots_of
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, Tabulated
@@ -321,6 +323,15 @@ def test_what_an_effect_writes_to_is_found_without_being_told():
     assert slots_of(EFFECTS["pinching"]) == ("h",)
     assert slots_of(EFFECTS["hardening"]) == ("force",)
     assert [name for name, effect in EFFECTS.items() if unserved(effect, BoucWen)] == ["yielding"]
+
+
+@pytest.mark.parametrize("effect", [name for name, kind in EFFECTS.items() if issubclass(kind, AbstractSpringEffect)])
+def test_an_effect_writes_to_the_same_slots_with_every_driver(effect):
+    kind, scales = EFFECTS[effect], Scales(1.0, 1.0, 1.0, 1.0)
+    for label, form in forms_of(kind).items():
+        values = {**dict.fromkeys(form.parameters(kind), 0.3), **form.held}
+        point = SpringPoint(0.4, 0.2, 0.3, defaultdict(lambda: 0.5), scales, 1.0, 0.1)
+        assert {*kind(**values).contribute(point)} == {*slots_of(kind, label)}
 
 
 @pytest.mark.parametrize("law", LAWS)

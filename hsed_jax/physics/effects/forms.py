@@ -233,7 +233,13 @@ def chosen(number: int) -> str:
 @cache
 def slots_of(effect: type[AbstractEffect], form: str | None = None) -> tuple[str, ...]:
     """The slots to which an effect writes in a form, by default in the default form; found by tracing, without a computation."""
-    one = forms_of(effect)[form] if form is not None else default_form(effect)
+    return _slots_of_shape(effect, (forms_of(effect)[form] if form is not None else default_form(effect)).name)
+
+
+@cache
+def _slots_of_shape(effect: type[AbstractEffect], shape: str) -> tuple[str, ...]:
+    # A driver changes the values that are written, and not the slots: one form of each shape is traced.
+    one = next(form for form in forms_of(effect).values() if form.name == shape)
 
     def contributions(value: Scalar) -> dict[str, Any]:
         values = dict.fromkeys(one.parameters(effect), value) | dict(one.held)
