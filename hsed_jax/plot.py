@@ -227,7 +227,7 @@ def population(calibration: Calibration, level: str | None = None) -> np.ndarray
 
 
 def ranking(diagnosis: Diagnosis) -> Axes:
-    """The candidates for the missing effect: their scores as bars, their probabilities beside them, named effects in blue.
+    """The candidates for the missing effect: the errors with them as bars, with their probabilities; named effects in blue.
 
     Raises:
         UserError: the diagnosis considered no candidate, because the noise explains the residual.

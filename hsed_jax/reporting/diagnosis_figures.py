@@ -22,7 +22,8 @@ from hsed_jax.reporting.probabilities import shown as probability_text
 from hsed_jax.reporting.style import Picture
 
 _SHOWN = 12
-_BEHIND = 30.0  # nats
+# The longest bar of a candidate, relative to the error of the model as it was.
+_CUT = 1.25
 _90 = 1.6448536  # standard deviations on both sides hold 90 %
 _DASHES = (0, (4, 1.6))
 _PALE = "#9ecae1"
@@ -34,12 +35,12 @@ _MEASURED = {**style.MEASURED, "label": "measured", "linewidth": 0.9}
 
 @style.in_house_style
 def ranking(diagnosis: Diagnosis) -> Picture:
-    """The best candidates: the loss of the score against the best one, and the probability of each.
+    """The best candidates: the error of the model with each of them, and its probability.
 
     Named effects and similar effects are highlighted.
 
     Arguments:
-        diagnosis: `ranking` with at least one candidate that was scored.
+        diagnosis: `ranking` with at least one candidate.
     """
     shown = _best(diagnosis)
     alike = {effect for group in diagnosis.look_alikes for effect in group} - set(diagnosis.effects)
@@ -57,39 +58,35 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     }
     kinds = [_kind(candidate, diagnosis, alike) for candidate in shown]
     places = -np.arange(len(shown), dtype=float)
-    gains = np.asarray([0.0 if candidate.score is None else candidate.score["gain"] for candidate in shown])
-    best = float(gains.max())
-    behind = gains - best
-    # Larger losses are cut: they are beyond any odds of interest, and would hide the other bars.
-    left = -_BEHIND if behind.min() < -_BEHIND else 1.1 * min(behind.min(), -1.0)
+    errors, (_, before) = np.asarray([candidate.error_test for candidate in shown]), diagnosis.error
+    # Larger errors are cut: they would hide the other bars.
+    right = _CUT * before
     for kind, (text, look) in enumerate(looks.items()):
         own = [i for i, k in enumerate(kinds) if k == kind]
         if own:
-            # From the left, so that the best has the longest bar.
-            panel.barh(places[own], np.maximum(behind[own] - left, 0.0), height=0.68, left=left, label=text, **look)
-    cut = behind < left
-    panel.plot(np.full(cut.sum(), left), places[cut], "<", color=style.DARK_GREY, ms=5, clip_on=False, zorder=3)
-    panel.axvline(0.0, color=style.BLACK, linewidth=0.8)
-    if left < -best <= 0.0:
-        panel.axvline(-best, color=style.DARK_GREY, linestyle=":", linewidth=1.3, label="no effect added", zorder=1)
-    panel.set_xlim(left, 0.0)
+            panel.barh(places[own], np.fmin(errors[own], right), height=0.68, label=text, **look)
+    cut = ~(errors <= right)
+    panel.plot(np.full(cut.sum(), right), places[cut], ">", color=style.DARK_GREY, ms=5, clip_on=False, zorder=3)
+    panel.axvspan(0.0, diagnosis.noise_floor, color=style.GREY, alpha=0.3, linewidth=0, zorder=3, label="noise")
+    panel.axvline(before, color=style.RED, linestyle=_DASHES, linewidth=1.2, label="model as it was")
+    panel.set_xlim(0.0, right)
     panel.set_yticks(places, [style.words(c.called) for c in shown])
     panel.tick_params(axis="y", length=0)
     for tick, kind in zip(panel.get_yticklabels(), kinds, strict=True):
         tick.set_fontweight("bold" if kind == 0 else "normal")
     panel.grid(False, axis="y")
     panel.set_ylim(places[-1] - 0.6, 0.6)
-    panel.set_xlabel("Score below the best [nats]")
+    panel.set_xlabel("Normalised error with the candidate [–]")
     for place, *texts in [
-        (0.9, "behind", "probability"),
+        (0.9, "error", "probability"),
         *(
-            (p, f"{far:,.1f}".replace(",", "\u2009"), probability_text(c.probability, c.effect in diagnosis.effects))
-            for p, far, c in zip(places, behind, shown, strict=True)
+            (p, error_cell(c.error_test), probability_text(c.probability, c.effect in diagnosis.effects))
+            for p, c in zip(places, shown, strict=True)
         ),
     ]:
-        for text, right in zip(texts, (48, 108), strict=True):
-            panel.annotate(text.replace("-", "−"), (1.0, place), xycoords=panel.get_yaxis_transform(),
-                           xytext=(right, 0), textcoords="offset points", ha="right", va="center", fontsize=8,
+        for text, offset in zip(texts, (48, 108), strict=True):
+            panel.annotate(text, (1.0, place), xycoords=panel.get_yaxis_transform(),
+                           xytext=(offset, 0), textcoords="offset points", ha="right", va="center", fontsize=8,
                            annotation_clip=False)  # fmt: skip
     style.legend(figure, panel)
     rest = len(diagnosis.ranking) - len(shown)
@@ -97,23 +94,22 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     first = shown[0]
     return Picture(
         figure,
-        "Candidates for the missing effect: how far the score of the model with each candidate is below the best score (log "
-        f"density of held-out data; the best one gains {style.amount(best)} nats), and its probability.  {EXPLAINED}"
-        + (f"  Arrows: more than {_BEHIND:.0f} nats behind." if cut.any() else "")
+        "Candidates for the missing effect: the normalised error of the best model with each candidate, on data that it was "
+        f"not fitted to, and the probability of the candidate.  {EXPLAINED}"
+        + ("  Arrows: larger errors." if cut.any() else "")
         + (f"  The measurements do not distinguish: {groups}." if groups else "")
-        + (f"  {rest} candidates that fit worse are not shown." if rest else ""),
+        + (f"  {rest} candidates that are less probable are not shown." if rest else ""),
         f"{len(shown)} horizontal bars. Verdict: {diagnosis.verdict.replace('_', ' ')}. First is "
-        f"{first.effect.replace('_', ' ')} with a gain of {style.amount(gains[0])} nats and a probability of "
-        f"{probability_text(first.probability)}.",
+        f"{first.effect.replace('_', ' ')} with an error of {error_cell(first.error_test)}, where the model as it was has "
+        f"{error_cell(before)}, and a probability of {probability_text(first.probability)}.",
     )
 
 
 def _best(diagnosis: Diagnosis) -> list[Candidate]:
-    """Named effects in their order, then those with the best scores; effects that fit far worse have no score."""
-    scored = [c for c in diagnosis.ranking if c.score is not None] or diagnosis.ranking
+    """Named effects in their order, then the most probable ones; of equal probability, those with the smallest errors."""
     named = [c for c in diagnosis.ranking if c.effect in diagnosis.effects]
-    others = [c for c in scored if c not in named]
-    others.sort(key=lambda c: 0.0 if c.score is None else -c.score["gain"])
+    others = [c for c in diagnosis.ranking if c not in named]
+    others.sort(key=lambda c: (-round(c.probability, 3), c.error_test))
     return [*named, *others][: max(_SHOWN, len(named))]
 
 

@@ -55,28 +55,41 @@ def texts(picture):
     return [text.get_text() for text in picture.figure.findobj(matplotlib.text.Text) if text.get_text()]
 
 
-def test_a_bar_is_how_much_worse_a_candidate_predicts_and_named_effects_and_look_alikes_stand_out():
+def with_error(one, error):
+    return replace(one, error_test=error)
+
+
+def test_a_bar_is_the_error_with_a_candidate_and_named_effects_and_look_alikes_stand_out():
     found = diagnosis(
-        [candidate("pinching", 800.0, 0.97), candidate("slip", 790.5, 0.03), candidate("gap", -2.0, 1e-9)],
+        [
+            with_error(candidate("pinching", 800.0, 0.97), 0.06),
+            with_error(candidate("slip", 790.5, 0.03), 0.07),
+            with_error(candidate("gap", -2.0, 1e-9), 2.0),
+            with_error(candidate("fracture", -np.inf), np.inf),
+        ],
         ["pinching"],
         [["pinching", "slip"]],
     )
     picture = ranking(found)
     (panel,) = picture.figure.axes
     bars = {container.get_label(): container for container in panel.containers}
-    # 802 nats behind are cut, where those that matter can be seen.
-    ends = [bar.get_x() + bar.get_width() for container in bars.values() for bar in container]
-    assert ends == [0.0, -9.5, -30.0]
-    assert panel.get_xscale() == "linear" and panel.get_xlim() == (-30.0, 0.0)
-    (cut, _) = panel.get_lines()
-    assert cut.get_ydata().tolist() == [-2.0]
+    # Errors of more than 1.25 times that of the model as it was are cut, where those that matter can be seen.
+    widths = [bar.get_width() for container in bars.values() for bar in container]
+    assert_allclose(widths, [0.06, 0.07, 1.25 * 0.3, 1.25 * 0.3])
+    assert_allclose(panel.get_xlim(), (0.0, 1.25 * 0.3))
+    (cut, before) = panel.get_lines()
+    assert cut.get_ydata().tolist() == [-2.0, -3.0]
+    assert before.get_label() == "model as it was" and before.get_xdata() == [0.3, 0.3]
     assert list(bars) == ["named", "look-alike of a named effect", "other candidates"]
     assert bars["look-alike of a named effect"][0].get_hatch()
-    assert [tick.get_text() for tick in panel.get_yticklabels()] == ["pinching", "slip", "gap"]
-    assert {"0.970", "0.030", "< 0.001", "0.0", "−9.5", "−802.0"} <= set(texts(picture))
-    assert "the best one gains 800 nats" in picture.caption and "not in the catalogue" in picture.caption
+    assert [tick.get_text() for tick in panel.get_yticklabels()] == ["pinching", "slip", "gap", "fracture"]
+    assert {"0.970", "0.030", "< 0.001", "0.060", "0.070", "2.000", "diverged"} <= set(texts(picture))
+    assert "Arrows: larger errors." in picture.caption and "not in the catalogue" in picture.caption
     assert "pinching or slip" in picture.caption
-    assert "pinching with a gain of 800 nats and a probability of 0.970" in picture.alt
+    assert (
+        "pinching with an error of 0.060, where the model as it was has 0.300, and a probability of 0.970"
+        in picture.alt
+    )
 
 
 def test_hatched_bars_stand_in_a_page(tmp_path):
@@ -88,39 +101,21 @@ def test_hatched_bars_stand_in_a_page(tmp_path):
     assert '<pattern id="ranking-' in drawn and "url(#ranking-" in drawn
 
 
-def test_candidates_are_seen_beside_the_model_without_any_of_them():
-    (panel,) = ranking(
-        diagnosis([candidate("pinching", 4.0, 0.6), candidate("slip", 3.0, 0.3)], ["pinching"])
-    ).figure.axes
-    assert panel.get_xlim() == (-1.1, 0.0) and "no effect added" not in panel.get_legend_handles_labels()[1]
-    picture = ranking(diagnosis([candidate("pinching", 4.0, 0.6), candidate("slip", -3.0)], ["pinching"]))
-    (panel,) = picture.figure.axes
-    assert panel.get_xlim() == pytest.approx((-7.7, 0.0))
-    (none,) = (line for line in panel.get_lines() if line.get_label() == "no effect added")
-    assert_allclose(none.get_xdata(), -4.0)
-
-
 def test_a_named_effect_never_carries_a_probability_of_nothing():
     picture = ranking(diagnosis([candidate("pinching", 4.0, 1e-7), candidate("slip", 3.0, 1e-7)], ["pinching"]))
     assert "by prediction" in texts(picture) and "< 0.001" in texts(picture)
     assert "probability of by prediction" not in picture.alt
 
 
-def test_the_best_candidates_are_shown_the_named_ones_first():
+def test_the_named_candidates_come_first_then_the_probable_ones_then_those_with_small_errors():
     names = [f"effect_{i}" for i in range(20)]
-    many = [candidate(name, float(i)) for i, name in enumerate(names)]
-    (panel,) = ranking(diagnosis([candidate("named", 0.5), *many], ["named"])).figure.axes
+    many = [with_error(candidate(name, 0.0), 1.0 - 0.01 * i) for i, name in enumerate(names)]
+    many[3] = candidate("effect_3", 0.0, 0.2)
+    picture = ranking(diagnosis([candidate("named", 0.5), *many], ["named"]))
+    (panel,) = picture.figure.axes
     shown = [tick.get_text() for tick in panel.get_yticklabels()]
-    assert shown == ["named", *(f"effect {i}" for i in range(19, 8, -1))]
-    assert (
-        "9 candidates that fit worse are not shown"
-        in ranking(diagnosis([candidate("named", 0.5), *many], ["named"])).caption
-    )
-
-
-def test_a_gain_that_is_no_number_is_left_out():
-    (panel,) = ranking(diagnosis([candidate("gap", -np.inf), candidate("slip", 1.0)])).figure.axes
-    assert [tick.get_text() for tick in panel.get_yticklabels()] == ["slip"]
+    assert shown == ["named", "effect 3", *(f"effect {i}" for i in range(19, 9, -1))]
+    assert "9 candidates that are less probable are not shown" in picture.caption
 
 
 def test_a_spring_that_softens_is_called_so_in_every_figure():
