@@ -24,6 +24,7 @@ from hsed_jax.diagnosis.rivals import difference, joined, look_alikes_of, next_e
 from hsed_jax.diagnosis.score import explained_share
 from hsed_jax.diagnosis.scores import score_p_value
 from hsed_jax.diagnosis.search import Search
+from hsed_jax.tables import odds
 
 # Number of posterior draws of a reported model.
 _DRAWS = 240
@@ -83,14 +84,17 @@ def diagnose(
     models, best, none = search.all(), search.model(search.best), search.model(())
     sampled = {best.effects: sample_posterior(best.fit, problem.models, search.standard.target, _DRAWS, problem.seed)}
     rivals = rivals_of(models, best)
-    called = {} if probe is None else {m.effects: probe.called(m) for m in (best, *rivals) if m.effects}
-    rivals = [m for m in rivals if called.get(m.effects) != called.get(best.effects, best.effects)]
+    behaves = {} if probe is None else {m.effects: probe.called(m) for m in (best, *rivals) if m.effects}
+    behaviour = behaves.get(best.effects, best.effects)
+    rivals = [m for m in rivals if behaves.get(m.effects) != behaviour]
+    # The best set has its own names where the effects named after its behaviour predict worse (`_rename`).
+    called = {effects: best.effects if name == behaviour else name for effects, name in behaves.items()}
     stated = stated_probabilities(problem, search, models, called)
     ranking = _ranking(problem, search, models, sampled, stated)
     is_adequate = is_explained(none.fit) and not problem.opened
     plain = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
     before = plain if not best.effects else "ambiguous" if rivals else "missing_effects"
-    widths = prior_widths(search, models, best, before, plain, partial(_does_the_same, probe, dict(called), best))
+    widths = prior_widths(search, models, best, before, plain, partial(_does_the_same, probe, behaves, best))
     # With other priors of the effects, another explanation leads: the data alone do not decide between the two.
     leaders = [
         search.model(one.leader)._replace(probability=best.probability) for one in widths if one.leader is not None
@@ -314,8 +318,8 @@ def _gains(search: Search, models: Sequence[Model]) -> dict[Set, dict[str, float
 def _reason(search: Search, model: Model, best: Model) -> str | None:
     """The reason why a model with a likely effect is not named."""
     if not model.effects > best.effects:
-        odds = best.probability / max(model.probability, 1e-300)
-        return f"{' + '.join(sorted(best.effects - model.effects))} in its place is {odds:.2g} times as probable"
+        nats = math.log(max(best.probability, 1e-300) / max(model.probability, 1e-300))
+        return f"the odds of {' + '.join(sorted(best.effects - model.effects))} in its place are {odds(nats)}"
     return search.obstacle(model.effects, best.effects) or "the search ended before it"
 
 

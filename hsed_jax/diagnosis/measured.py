@@ -40,6 +40,11 @@ class Measured(NamedTuple):
         """s of each output; NaN if it is not declared."""
         return np.asarray([float(e.size) if isinstance(e.size, int | float) else np.nan for e in self.errors])
 
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the mean square of the noise, as a squared error: such a difference may be due to chance."""
+        return self.noise**2 * math.sqrt(2 / max(int(self.used.sum()), 1))
+
     def error(self, predicted: np.ndarray, scored: np.ndarray | None = None) -> float:
         """Normalised error of predictions (n, J) for the scored samples, by default for all measured ones."""
         return normalised_error(self.values, predicted, self.used if scored is None else scored, self.groups)

@@ -57,8 +57,7 @@ class Search:
         measured: the experiments to fit.
         law: indices of the parameters that every model has.
         effects: the forms of each candidate.
-        is_explained: whether the noise explains the size of the residual of a fit; if it does, an effect is added only if a
-            score test is significant.
+        is_explained: whether the noise explains the residual of a fit; then only a significant score test adds an effect.
         report: receives the current activity, for a progress bar.
         test: experiments that are never fitted, in the rows after the measured ones.  At the end, they choose between the sets.
         start: known x of the first model, (P,): one of the starts of its fit.
@@ -69,7 +68,7 @@ class Search:
         best: the supported set.
         path: the sets that were best, from the empty set on.
         scores: Rao's score statistic of each candidate in the first model.
-        on_round: called after the models are scored and after a round.
+        on_round: called before the first round and after each.
         missed: by how many nats the best fit of the first model is better than the fit from `start`.
     """
 
@@ -84,11 +83,10 @@ class Search:
         test: Measured | None = None,
         start: Float[np.ndarray, " P"] | None = None,
     ):
-        self._is_explained = is_explained
+        self._is_explained, self._report = is_explained, report
         self._start, self.held_out = start, HeldOut(models, measured, test)
         self.models, self.measured, self.law, self.effects = models, measured, law, dict(effects)
         self._fits = Fits(models, law, effects)
-        self._report = report
         errors = np.where(np.isnan(measured.declared), 0.3, measured.declared)
         sigma, uses = measured.sigma(errors, measured.values), self.held_out.folds.fitted * 1.0
         target = Target(measured.values, sigma, uses, np.zeros(measured.values.shape))
@@ -120,14 +118,13 @@ class Search:
                 self._fits.look_all_over(self.standard.target, rows)
                 self._judge()
             self._score()
-            self.on_round()
             before, self.best = self.best, self._next()
             self.on_round()
             if self.best in self.path:
                 break
             self.path.append(self.best)
-        if self.held_out.test is not None:
-            self.best = self._smallest_that_predicts()
+        if (test := self.held_out.test) is not None:
+            self.best = self._smallest_that_predicts(test.scatter)
         if self.best != before:
             self._judge()
         self._score(is_over=True)
@@ -191,18 +188,24 @@ class Search:
                 return "the model predicts the experiments that were not fitted better without it"
         return self._unsupported(larger, here)
 
-    def _smallest_that_predicts(self) -> Set:
-        """The smallest set with the least test error, up to what is not material.
+    def _smallest_that_predicts(self, scatter: float) -> Set:
+        """The smallest set with the least test error, up to what is not material; the best set stays within `scatter`, squared.
 
         The choice is made last and between all fitted sets: what describes the fitted experiments best may predict others badly.
         If the noise explains the best set, the evidence is exact, and only the sets of the path are compared with it.
         """
         is_noise = self._is_explained(self._fits.best(self.best))
-        sets = self.path if is_noise else [m.effects for m in self.all()]
+        sets = self.path if is_noise else [*self.path, *(m.effects for m in self.all() if self._is_supported(m))]
         unseen = dict(zip(sets, self.unseen(sets), strict=True))
         limit = largest_alike(self.measured.noise, unseen[Set()], min(unseen.values()))
-        alike = [s for s, error in unseen.items() if error <= limit or (is_noise and s == self.best)]
-        return min(alike, key=lambda s: (len(s), is_noise and s != self.best, unseen[s]))
+        stays = is_noise or unseen[self.best] ** 2 <= min(unseen.values()) ** 2 + scatter
+        alike = [s for s, error in unseen.items() if error <= limit or (stays and s == self.best)]
+        return min(alike, key=lambda s: (len(s), stays and s != self.best, -self.model(s).probability, unseen[s]))
+
+    def _is_supported(self, model: Model) -> bool:
+        """Whether each effect of a model makes it more probable after the fitted measurements."""
+        without = [self.model(less) for less in less_one(model.effects) if less in self._fits]
+        return all(model.log_posterior > less.log_posterior for less in without)
 
     def _unsupported(self, larger: Set, here: Set) -> str | None:
         """The reason why the fitted measurements do not support a set with more effects than another one; None without one."""
@@ -244,7 +247,6 @@ class Search:
         submodel, starts = self.models.submodel(self.law), self._fits.starts_of_law()
         tasks = [Task(submodel, start, rivals=0) for start in starts]
         tasks += [] if self._start is None else [Task(submodel, self._start)]
-        fit: FitState | None = None
         for _ in range(2):
             ends = self.models.fit(self.standard.target, tasks)
             fit = min(ends, key=lambda f: f.cost)
@@ -254,10 +256,9 @@ class Search:
                 raise UserError("the model diverges wherever a fit was started; check parameters and priors")
             self.standard = self.measured.standard(fit.predicted, self.held_out.folds.fitted)
             tasks = [Task(submodel, fit.x)]
-        assert fit is not None
-        self._fits.set_law(fit)
+            self._fits.set_law(fit)
         defaults = {effect: amplitude_of(forms) for effect, forms in self.effects.items()}
-        self.scores = Linearisation(self.models, self.standard.target, fit).score_tests(defaults)
+        self.scores = Linearisation(self.models, self.standard.target, self._fits.best(Set())).score_tests(defaults)
 
     def _fit(self, around: Sequence[Set]) -> None:
         """Fit the sets around the best one: its subsets in its forms, and sets with a new effect as `beside` proposes them."""
@@ -366,9 +367,8 @@ class Search:
         if len(self.best) == MOST_EFFECTS or not self.is_open():
             return False
         before, now = self.held_out.errors(self.standard.target, [self._fits.best(s) for s in (Set(), self.best)])
-        # The actual noise may be smaller than its expectation, by this share of its square.
-        by_chance = _DEVIATIONS * math.sqrt(2 / self.measured.used.sum())
-        return now**2 - max(1 - by_chance, 0.0) * self.measured.noise**2 >= material(self.measured.noise, before, now)
+        noise = max(self.measured.noise**2 - _DEVIATIONS * self.measured.scatter, 0.0)
+        return now**2 - noise >= material(self.measured.noise, before, now)
 
     def is_open(self) -> bool:
         """Whether a further effect has something to explain, by the size of the residual or by a score test."""

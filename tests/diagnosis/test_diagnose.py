@@ -268,6 +268,13 @@ def test_the_error_of_a_model_is_not_underestimated_below_the_noise_and_found_ab
     assert np.mean(found) <= max(1.1 * error, 2 * (2 / true.size) ** 0.25)
 
 
+def test_the_scatter_of_the_noise_is_that_of_its_mean_square_from_test_to_test():
+    true, random = data_of(0), np.random.default_rng(7)
+    measured = measured_of(true)
+    squares = [measured.error(true + SIGMA * random.standard_normal(true.shape)) ** 2 for _ in range(4000)]
+    assert measured.scatter == pytest.approx(np.std(squares), rel=0.1)
+
+
 def test_fewer_effective_samples_hide_a_larger_error_of_a_model():
     measured = measured_of(data_of(0), declared=SIGMA)._replace(noise=0.1)
     standard = measured.standard(measured.values, np.ones((1, N, J), dtype=bool))
@@ -462,7 +469,10 @@ def test_of_sets_of_one_size_a_few_test_experiments_do_not_decide_where_the_nois
     found.best, found.path = best, [frozenset(), other, best]
     found._fits.best(other).x[COLUMNS["effect_1"]] = 0.6
     assert found.unseen([other])[0] < found.unseen([best])[0]
-    assert found._smallest_that_predicts() == (best if is_explained else other)
+    assert found._smallest_that_predicts(0.0) == (best if is_explained else other)
+    one, least = (found.unseen([effects])[0] ** 2 for effects in (best, other))
+    # A difference within the scatter of the noise takes no set from its place.
+    assert found._smallest_that_predicts(1.01 * (one - least)) == best
 
 
 @pytest.mark.parametrize("is_explained", [False, True])
