@@ -497,6 +497,26 @@ def test_between_all_fitted_sets_the_test_experiments_decide_unless_the_noise_ex
     assert found.model(found.best).probability > 0.5
 
 
+@pytest.mark.parametrize("size", [0.0, 0.3])
+def test_a_smaller_test_error_names_no_effect_that_the_fitted_experiments_do_not_support(size):
+    # In the test experiments a small estimate has a large influence, and there they are as if the estimate were true.
+    there = FUNCTIONS.copy()
+    there[COLUMNS["effect_1"]] *= 30
+    models = NestedModels(Dictionary(np.concatenate([FUNCTIONS, there], axis=1)), BOX, np.zeros(2 + K))
+    found = Search(models, measured_of(data_of(3, effect_3=0.6, effect_1=size)), LAW, EFFECTS, lambda fit: False)
+    found.start()
+    best, larger = frozenset({"effect_3"}), frozenset({"effect_1", "effect_3"})
+    found._fits.fit(
+        found.standard.target, [frozenset((effect, "") for effect in effects) for effects in (best, larger)]
+    )
+    found.best, found.path = best, [frozenset(), best]
+    fit = found.model(larger).fit
+    ((predicted,), _) = models.predict([(fit.x, fit.submodel)], N + np.arange(N))
+    found.held_out.test = measured_of(predicted)
+    assert found.unseen([larger])[0] < 0.5 * found.unseen([best])[0]
+    assert found._smallest_that_predicts(0.0) == (larger if size else best)
+
+
 def test_another_name_is_not_taken_where_it_predicts_the_test_experiments_worse():
     for differs in (False, True):
         _, search = rival_case(0.15)

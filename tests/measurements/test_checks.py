@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders.places import SHARED
+from builders.places import DATA
 from builders.records import SIGMA, as_record, clean, in_mm, loop
 
 from hsed_jax.command_line import main
@@ -23,8 +23,6 @@ from hsed_jax.measurements import (
     stop_at_errors,
     write_campaign,
 )
-
-DATA = SHARED / "data"
 
 
 def campaign_of(data: dict[str, np.ndarray], noise: bool = True, **quantities: float) -> Campaign:

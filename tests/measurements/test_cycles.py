@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from builders.places import SHARED, TESTS
+from builders.places import DATA, TESTS
 
 from hsed_jax.measurements import (
     Backbone,
@@ -23,8 +23,6 @@ from hsed_jax.measurements import (
 from hsed_jax.measurements.cycles import returned
 from hsed_jax.measurements.turns import cycle_numbers, spans, turns
 from hsed_jax.physics.outputs import absorbed_energy
-
-DATA = SHARED / "data"
 
 
 def path_through(corners, samples: int) -> np.ndarray:

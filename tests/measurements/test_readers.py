@@ -4,14 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from builders.places import SHARED
+from builders.places import DATA
 
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, check_campaign, read_at2, read_campaign, write_at2, write_campaign
 from hsed_jax.measurements.records import read_columns
 
 G = 9.80665
-DATA = SHARED / "data"
 real = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured campaigns are not at {DATA}")
 
 TIME = np.arange(6) * 0.5

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders.places import SHARED
+from builders.places import DATA
 
 from hsed_jax.command_line import main
 from hsed_jax.config.load import load_study
@@ -12,7 +12,6 @@ from hsed_jax.measurements import Campaign, Channel, Experiment, Record, check_c
 from hsed_jax.study.build import Built
 from hsed_jax.study.unit_doubts import drift_doubts, unit_doubts
 
-DATA = SHARED / "data"
 AMPLITUDES = (2, 4, 8, 12)
 
 
