@@ -264,9 +264,7 @@ def behaviour(found: Diagnosis, visited: Range, case: Case, truth: dict[str, Any
         plan,
         truth["deltas"],
         Scales(**truth["scales"]["used"]),
-        histories.elongation,
-        histories.rate,
-        histories.lengths,
+        *histories.imposed,
     )
     # Its own steps may be too long for a hidden formula, which then goes to infinity.
     is_fine = np.all(np.abs(force) < _FAR * plan.A / plan.beta, axis=1)

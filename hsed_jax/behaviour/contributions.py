@@ -70,7 +70,7 @@ def contribution(
         probed: the quantities of both.
         rate: characteristic rate of the elongation [m/s].
     """
-    u, v = histories.elongation[:, ::2], histories.rate[:, ::2] / rate
+    u, v = histories.imposed.elongation[:, ::2], histories.imposed.rate[:, ::2] / rate
     weight = np.zeros(u.shape)
     weight[:, 1:] = np.abs(np.diff(u, axis=1))
     is_read = np.isfinite(probed[0].quantities["strength+"]) & np.isfinite(probed[1].quantities["strength+"])
@@ -86,7 +86,7 @@ def contribution(
         float(size),
         _curve(x, apart, w, np.linspace(-1, 1, _CLASSES + 1)),
         _curve(rates, apart, w, _edges(rates)),
-        _changes(*probed, amplitude=float(histories.elongation[0, 2 * histories.ends[1]])),
+        _changes(*probed, amplitude=float(histories.imposed.elongation[0, 2 * histories.ends[1]])),
         probed[0].drivers,
     )
 

@@ -77,16 +77,13 @@ class Histories(NamedTuple):
     """Imposed elongations that end with the same loop.
 
     Attributes:
-        elongation, rate: on the half-step grid [m], [m/s], (B, 2n+1).
-        lengths: of the steps [s], zero before a history begins, (B, n).
+        imposed: the elongations of B histories.
         ends: number of the step at which the loop begins, and at which its legs and its rest end, (5,).
         speed: of the loop [m/s], (B,).
         rest: before the loop [s], (B,).
     """
 
-    elongation: Float[np.ndarray, "B half"]
-    rate: Float[np.ndarray, "B half"]
-    lengths: Float[np.ndarray, "B n"]
+    imposed: Imposition
     ends: tuple[int, ...]
     speed: Float[np.ndarray, " B"]
     rest: Float[np.ndarray, " B"]
@@ -194,9 +191,9 @@ def _leg(start: float, end: float, speed: float, step: float) -> _Leg:
 
 
 def _joined(runs: Sequence[list[_Leg]], speeds: np.ndarray, rests: np.ndarray) -> Histories:
-    courses, size = _padded(runs)
+    imposition, size = _padded(runs)
     ends = size - np.cumsum([leg.steps for leg in reversed(runs[0][-4:])])
-    return Histories(*courses, (*reversed(ends.tolist()), size), speeds, rests)
+    return Histories(imposition, (*reversed(ends.tolist()), size), speeds, rests)
 
 
 def _padded(runs: Sequence[list[_Leg]]) -> tuple[Imposition, int]:

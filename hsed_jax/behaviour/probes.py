@@ -90,7 +90,7 @@ def probed(histories: Histories, force: Float[np.ndarray, "B samples"], ok: Bool
         force: the response at the start and at the ends of the steps [N], (B, n+1).
         ok: the simulated histories; the quantities of the others are NaN.
     """
-    u = histories.elongation[:, ::2]
+    u = histories.imposed.elongation[:, ::2]
     force = np.where(ok[:, None], force, 0.0)
     read = _read(histories.ends, u[ok], force[ok])
     quantities = {name: np.full(len(ok), np.nan) for name in read}

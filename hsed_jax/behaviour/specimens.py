@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hsed_jax.backend import cores
-from hsed_jax.behaviour.histories import Histories, Imposition
+from hsed_jax.behaviour.histories import Imposition
 from hsed_jax.physics.effects.base import AbstractSpringEffect
 from hsed_jax.physics.elements import Element
 from hsed_jax.physics.excitations import Imposed, Tabulated
@@ -73,7 +73,7 @@ def longest_step(yield_elongation: float, largest: float) -> float:
     return max(_PER_YIELD * min(yield_elongation, largest), largest / _FINEST)
 
 
-def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], histories: Histories | Imposition) -> Answers:
+def answers(specimen: Simulator, models: Sequence[Mapping[str, float]], histories: Imposition) -> Answers:
     """Forces of a specimen with different parameters, SI, by name."""
     steps, count = histories.lengths.shape[1], len(histories.lengths)
     timed = replace(specimen, timeline=Timeline(None, steps, 1))

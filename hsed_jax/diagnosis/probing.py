@@ -124,7 +124,7 @@ class Probe(NamedTuple):
         """Quantities along the test, by draw; None if fewer than half of the draws can be simulated."""
         histories = along_the_test(self.visited, self.step(draws[0], element))
         specimen = self._specimen(model, element)
-        found = answers(specimen, draws, histories)
+        found = answers(specimen, draws, histories.imposed)
         kept = np.flatnonzero(found.ok.all(axis=1))
         if len(kept) < 0.5 * len(draws):
             return None
@@ -135,7 +135,7 @@ class Probe(NamedTuple):
         """The drivers of each quantity in the best fit over the range of the data, with their predictivity."""
         fit = self.fitted(model)
         histories = over_the_range(self.visited, self.step(fit, element))
-        found = answers(self._specimen(model, element), [fit], histories)
+        found = answers(self._specimen(model, element), [fit], histories.imposed)
         if found.ok[0].sum() < _ENOUGH:
             return {}
         read = probed(histories, found.force[0], found.ok[0])
@@ -235,7 +235,7 @@ class Probe(NamedTuple):
             return {}
         histories = over_the_range(self.visited, self.step(draws[0], element))
         models = [{**draw, **absent} for draw in draws for absent in ({}, *map(self._absent, own))]
-        answered = answers(self._specimen(model, element), models, histories)
+        answered = answers(self._specimen(model, element), models, histories.imposed)
         each = enumerate(zip(answered.force, answered.ok, strict=True))
         read = {number: probed(histories, force, ok) for number, (force, ok) in each if ok.any()}
         found: dict[str, list[Contribution]] = {}

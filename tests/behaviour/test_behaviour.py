@@ -23,7 +23,7 @@ STEP = 0.2 * YIELD / STIFFNESS
 
 def elastoplastic(histories: Histories, factor=lambda energy, path, largest: 1.0) -> np.ndarray:
     """Elastic and perfectly plastic by a return map, its stiffness times a factor of what it has gone through; NumPy alone."""
-    u = histories.elongation[:, ::2]
+    u = histories.imposed.elongation[:, ::2]
     force = np.zeros(u.shape)
     energy, path, largest = (np.zeros(len(u)) for _ in range(3))
     for k in range(1, u.shape[1]):
@@ -69,14 +69,14 @@ def test_a_perfect_loop_has_its_closed_form(histories):
 def test_a_force_that_depends_on_the_rate_is_read_at_every_speed(histories, exponent):
     force = (
         elastoplastic(histories)
-        + 5e3 * np.sign(histories.rate[:, ::2]) * np.abs(histories.rate[:, ::2] / RATE) ** exponent
+        + 5e3 * np.sign(histories.imposed.rate[:, ::2]) * np.abs(histories.imposed.rate[:, ::2] / RATE) ** exponent
     )
     found = read(histories, force)
     assert found.quantities["rate_force"] == pytest.approx(5e3 * (histories.speed / RATE) ** exponent, abs=0.02 * 5e3)
 
 
 def test_play_is_as_wide_as_the_slack(histories):
-    u, slack = histories.elongation[:, ::2], 0.008
+    u, slack = histories.imposed.elongation[:, ::2], 0.008
     force = STIFFNESS * (u - np.clip(u, -slack, slack))
     assert read(histories, force).quantities["play"] == pytest.approx(2 * slack, rel=0.1)
 
@@ -106,7 +106,7 @@ def test_a_stiffness_that_falls_exponentially_is_named_for_it(histories):
 
 def test_a_whole_loop_that_falls_has_the_names_of_stiffness_and_of_strength(histories):
     law = elastoplastic(histories)
-    path = np.abs(np.diff(histories.elongation[:, ::2], axis=1, prepend=0.0)).cumsum(axis=1)
+    path = np.abs(np.diff(histories.imposed.elongation[:, ::2], axis=1, prepend=0.0)).cumsum(axis=1)
     found = named(histories, law * DAMAGED["path"](0.0, path, 0.0), law)
     assert found is not None
     assert (found.change, found.driver) == ("falls", "path")
@@ -123,7 +123,7 @@ def test_a_whole_loop_that_falls_has_the_names_of_stiffness_and_of_strength(hist
 )
 def test_a_side_that_is_weaker_has_the_names_of_two_sides_that_differ(histories, share):
     law = elastoplastic(histories)
-    least = np.minimum.accumulate(histories.elongation[:, ::2], axis=1)
+    least = np.minimum.accumulate(histories.imposed.elongation[:, ::2], axis=1)
     # Of the force in compression, a share is lost: always the same one, or more as it shortens.
     found = named(histories, np.where(law < 0, law * (1 - np.clip(share(least), 0.0, 0.9)), law), law)
     assert found is not None
@@ -131,7 +131,7 @@ def test_a_side_that_is_weaker_has_the_names_of_two_sides_that_differ(histories,
 
 
 def rates(histories: Histories) -> np.ndarray:
-    return histories.rate[:, ::2] / RATE
+    return histories.imposed.rate[:, ::2] / RATE
 
 
 ADDED = {
@@ -142,9 +142,9 @@ ADDED = {
     "viscous_damping": lambda h: 9e3 * rates(h),
     "quadratic_damping": lambda h: 9e3 * rates(h) * np.abs(rates(h)),
     "power_damping": lambda h: 9e3 * np.sign(rates(h)) * np.abs(rates(h)) ** 0.4,
-    "hardening": lambda h: 2e5 * h.elongation[:, ::2],
-    "cubic_stiffness": lambda h: 2e4 * (h.elongation[:, ::2] / 0.06) ** 3,
-    "quadratic_stiffness": lambda h: 2e4 * (h.elongation[:, ::2] / 0.06) ** 2,
+    "hardening": lambda h: 2e5 * h.imposed.elongation[:, ::2],
+    "cubic_stiffness": lambda h: 2e4 * (h.imposed.elongation[:, ::2] / 0.06) ** 3,
+    "quadratic_stiffness": lambda h: 2e4 * (h.imposed.elongation[:, ::2] / 0.06) ** 2,
 }
 
 
@@ -200,15 +200,15 @@ def test_a_record_turns_where_it_goes_back_and_not_in_its_noise():
 def test_the_test_is_followed_to_shares_of_its_path():
     found = along_the_test(VISITED, STEP)
     until = found.ends[0] + 1
-    moved = np.abs(np.diff(found.elongation[:, ::2][:, :until], axis=1)).sum(axis=1)
+    moved = np.abs(np.diff(found.imposed.elongation[:, ::2][:, :until], axis=1)).sum(axis=1)
     # The way back to zero comes on top, and a share ends at the last reversal before it.
     assert moved == pytest.approx(np.asarray(PLACES) * VISITED.path, abs=3 * VISITED.elongation)
     assert np.all(np.diff(moved) > 0)
     # The rate is the slope of the elongation.
-    slope = np.diff(found.elongation[:, ::2], axis=1)
-    length = np.where(found.lengths > 0, found.lengths, 1.0)
-    middle = found.rate[:, 1::2]
-    assert np.abs(slope / length - middle)[found.lengths > 0].max() < 0.1 * RATE
+    slope = np.diff(found.imposed.elongation[:, ::2], axis=1)
+    length = np.where(found.imposed.lengths > 0, found.imposed.lengths, 1.0)
+    middle = found.imposed.rate[:, 1::2]
+    assert np.abs(slope / length - middle)[found.imposed.lengths > 0].max() < 0.1 * RATE
 
 
 def test_histories_that_could_not_be_simulated_have_no_number(histories):

@@ -275,7 +275,7 @@ def test_the_hidden_specimen_and_the_package_answer_the_same_numerical_experimen
     case = Case("component", (("stiffness_degradation", "same"),), 0.1, 0.02, 6, 4, 5)
     plan, scales = draw(case), Scales(3e5, 0.2, 1.0, 3e5)
     histories = along_the_test(visited, longest_step(1 / plan.beta, visited.elongation))
-    own = forces(plan, [0.7], scales, histories.elongation, histories.rate, histories.lengths)
+    own = forces(plan, [0.7], scales, *histories.imposed)
     simulator = Simulator(
         structure=None,
         excitation=None,
@@ -290,6 +290,6 @@ def test_the_hidden_specimen_and_the_package_answer_the_same_numerical_experimen
     }
     specimen = alone(simulator, simulator.elements[0], held)
     values = {"A": plan.A, "beta": plan.beta, "gamma": 0.0, "n": 1.0, "stiffness_degradation.delta": 0.7}
-    found = answers(specimen, [values], histories)
+    found = answers(specimen, [values], histories.imposed)
     assert found.ok.all()
     assert_allclose(found.force[0], own, atol=0.01 * np.abs(own).max())
