@@ -203,9 +203,9 @@ class Search:
         return min(alike, key=lambda s: (len(s), stays and s != self.best, -self.model(s).probability, unseen[s]))
 
     def _is_supported(self, model: Model) -> bool:
-        """Whether each effect of a model makes it more probable after the fitted measurements."""
+        """Whether each effect of a model raises the evidence of the fitted measurements."""
         without = [self.model(less) for less in less_one(model.effects) if less in self._fits]
-        return all(model.log_posterior > less.log_posterior for less in without)
+        return all(model.log_evidence > less.log_evidence for less in without)
 
     def _unsupported(self, larger: Set, here: Set) -> str | None:
         """The reason why the fitted measurements do not support a set with more effects than another one; None without one."""
