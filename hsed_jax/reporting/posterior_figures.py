@@ -12,6 +12,8 @@ from hsed_jax.reporting.style import Picture
 
 _MOST = 6
 _BINS = 30
+# Of more parameters than this, panels are so narrow that they have short lines of words and few numbers.
+_WIDE = 4
 _DASHES = (0, (4, 1.6))
 _LOOKS = {"as it was": (style.RED, "v"), "improved": (style.BLUE, "o")}
 
@@ -33,6 +35,7 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
         for name in names
     }
     count = len(names)
+    width, numbers = (16, 4) if count <= _WIDE else (10, 2)
     figure = style.new_figure(min(1.4 + 1.6 * count, 8.0))
     grid = figure.subplots(count, count, squeeze=False, sharex="col")
     for row, y in enumerate(names):
@@ -47,10 +50,11 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
                     at = [one.map[name] / scales[name][0] for name in (x, y)]
                     _pair(panel, values, at, look) if x != y else _marginal(panel, values[0], at[0], look)
             _lines(panel, *(truth[n] / scales[n][0] if n in truth else None for n in (x, y)), alone=x == y)
-            panel.set_xlabel(style.label(x, scales[x][1]) if row == count - 1 else "")
-            panel.set_ylabel(style.label(y, scales[y][1]) if column == 0 and row > 0 else "")
+            panel.set_xlabel(style.label(x, scales[x][1], width) if row == count - 1 else "")
+            panel.set_ylabel(style.label(y, scales[y][1], width) if column == 0 and row > 0 else "")
             panel.tick_params(labelbottom=row == count - 1, labelleft=column == 0 and row > 0)
-            panel.locator_params(nbins=4)
+            panel.locator_params("x", nbins=numbers)
+            panel.locator_params("y", nbins=4)
     figure.align_labels()
     _entries(grid[0, 0], list(fits), any(name in truth for name in names))
     style.legend(figure, grid[0, 0])

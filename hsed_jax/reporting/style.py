@@ -218,11 +218,11 @@ def history_label(name: str, unit: str, pair: Pair = ELONGATION_AND_FORCE) -> st
     return whole if len(lines[0]) <= 12 and len(lines) == 1 else "\n".join([*lines, whole[whole.index("$") :]])
 
 
-def label(name: str, unit: str) -> str:
-    """Axis label of an input or a parameter: its name as studies and tables have it, in lines of some 16 letters."""
+def label(name: str, unit: str, width: int = 16) -> str:
+    """Axis label of an input or a parameter: its name as studies and tables have it, in lines of about `width` letters."""
     lines = [""]
     for part in re.split(r"(?<=[._])", plain(name)):
-        lines = [*lines, part] if lines[-1] and len(lines[-1] + part) > 16 else [*lines[:-1], lines[-1] + part]
+        lines = [*lines, part] if lines[-1] and len(lines[-1] + part) > width else [*lines[:-1], lines[-1] + part]
     return "\n".join(lines) + f" [{unit_text(unit)}]"
 
 

@@ -2,6 +2,7 @@
 
 import importlib.util
 from dataclasses import replace
+from itertools import pairwise
 
 import matplotlib.text
 import numpy as np
@@ -18,6 +19,7 @@ from hsed_jax.criticism.improve import Step, Trail
 from hsed_jax.reporting import behaviour_figures, diagnosis_figures, style
 from hsed_jax.reporting.diagnosis_figures import before_after, error_fall, parameters_before_after, ranking
 from hsed_jax.reporting.inline_svg import inline
+from hsed_jax.reporting.posterior_figures import posterior
 from hsed_jax.runs.figures import diagnosis_drawings
 from hsed_jax.runs.results import _ranking
 
@@ -116,6 +118,24 @@ def test_the_named_candidates_come_first_then_the_probable_ones_then_those_with_
     shown = [tick.get_text() for tick in panel.get_yticklabels()]
     assert shown == ["named", "effect 3", *(f"effect {i}" for i in range(19, 9, -1))]
     assert "9 candidates that are less probable are not shown" in picture.caption
+
+
+def test_the_words_and_numbers_of_a_posterior_of_many_parameters_do_not_cover_each_other():
+    names = ("A", "beta", "yield_sharpness.delta", "slip.delta", "slip.width", "hardening.delta")
+    figure = posterior(fitted(names, (4e7, 180.0, 0.4, 0.7, 0.7, 0.8)), None, {}).figure
+    figure.draw_without_rendering()
+    below = [panel.xaxis for panel in figure.axes[-len(names) :]]
+    numbers = [
+        t
+        for a in below
+        for t in a.get_ticklabels()
+        if np.prod(np.subtract(t.get_position()[0], a.get_view_interval())) <= 0
+    ]
+    for texts in ([a.label for a in below], numbers):
+        boxes = sorted((text.get_window_extent() for text in texts), key=lambda box: box.x0)
+        assert len(boxes) >= len(names)
+        assert all(one.x1 < other.x0 for one, other in pairwise(boxes))
+        assert boxes[0].x0 > 0 and boxes[-1].x1 < figure.bbox.x1
 
 
 def test_a_spring_that_softens_is_called_so_in_every_figure():
