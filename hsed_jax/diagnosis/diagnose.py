@@ -267,14 +267,13 @@ def _ranking(
         if effect in best:
             shown[effect] = by_set[best], by_set.get(best - {effect}) or search.model(best - {effect})
             continue
-        # The most probable model with the effect and no more effects than the best model, or the best model with this effect
-        # added if that is more probable than the best model.
+        # The most probable model with the effect: with no more effects than the best model, or the best model with this effect.
         options = [m for m in models if effect in m.effects and m.effects - {effect} in by_set]
         if not options:
             continue  # it was not fitted, because its predicted gain is smaller than that of others, or its simulations fail
         instead = [m for m in options if len(m.effects) <= max(len(best), 1)] or options
         beside = by_set.get(best | {effect})
-        if beside is None or beside.probability <= by_set[best].probability:
+        if beside is None or beside.probability <= instead[0].probability:
             beside = instead[0]
         shown[effect] = beside, by_set[beside.effects - {effect}]
     tests = search.unseen([model.effects for model, _ in shown.values()])

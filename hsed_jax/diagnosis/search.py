@@ -35,7 +35,7 @@ _STRICT = 1e-3
 # The squared noise may be below its expectation by this many standard deviations.
 _DEVIATIONS = 3.0
 # Number of sets that are scored, the ones with the largest evidence, and number of forms of each.
-_POOL, _FORMS = 6, 3
+_POOL, _FORMS = 6, 2
 # Number of leading models from which the next one is selected.
 _TRIED = 5
 # Pairs: number of other single effects, the most probable ones, and number of effects beside each, by predicted gain.
