@@ -2,7 +2,7 @@ r"""The numerical experiments on a fitted specimen: a loading history, then a lo
 
 Two sets of histories are imposed.  The first fills the range of the data: amplitude, path, rest and speed of each history are
 a point of a Sobol' sequence, so that the influences of these variables can be separated.  The second follows the reversals of
-a test up to several places along its path, and then half cycles of falling amplitude.  Every history ends with the same loop,
+a test up to several places along its path, and then a smaller half cycle.  Every history ends with the same loop,
 
     0 → a → −a → a, and a rest at a.
 
@@ -32,8 +32,8 @@ _AMPLITUDES, _SPEEDS = (0.1, 1.0), (0.1, 1.0)
 _MOST = 200
 # Steps of a leg at least, and of a rest at most; one of a rest is this share of the time that the largest elongation takes.
 _LEAST, _RESTING, _REST_STEP = 32, 240, 0.1
-# Amplitudes of the half cycles between a test and the loop, as shares of the largest elongation of their side so far.
-_FALLING = (0.75, 0.5, 0.25)
+# Amplitude of the half cycle between a test and the loop, over the largest elongation of its side so far: between both.
+_BETWEEN = 0.75
 # Places along the path of a test.
 PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -146,10 +146,10 @@ def along_the_test(visited: Range, step: float) -> Histories:
 
 
 def _settled(turns: Float[np.ndarray, " r"]) -> Float[np.ndarray, " k"]:
-    """The reversals, then half cycles of falling amplitude to zero: otherwise the force there, and with it the middle of the
-    loop, would depend on the branch that the test ended on."""
-    ends, first = (turns.max(), turns.min()), int(turns[-1] > 0)
-    return np.asarray([*turns, *(share * ends[(first + k) % 2] for k, share in enumerate(_FALLING)), 0.0])
+    """The reversals, then a smaller half cycle to the other side: otherwise the force at zero, and with it the middle of the loop,
+    would depend on the branch that the test ended on."""
+    other = turns.min() if turns[-1] > 0 else turns.max()
+    return np.asarray([*turns, _BETWEEN * other, 0.0])
 
 
 def largest_changes(turns: Float[np.ndarray, " r"], most: int) -> Float[np.ndarray, " k"]:
