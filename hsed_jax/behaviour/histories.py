@@ -146,8 +146,8 @@ def along_the_test(visited: Range, step: float) -> Histories:
 
 
 def _settled(turns: Float[np.ndarray, " r"]) -> Float[np.ndarray, " k"]:
-    """The reversals, then a smaller half cycle to the other side: otherwise the force at zero, and with it the middle of the loop,
-    would depend on the branch that the test ended on."""
+    """The reversals, then a smaller half cycle to the other side: otherwise the force at zero, and with it the loop, would depend
+    on the branch that the test ended on."""
     other = turns.min() if turns[-1] > 0 else turns.max()
     return np.asarray([*turns, _BETWEEN * other, 0.0])
 
