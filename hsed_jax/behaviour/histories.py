@@ -2,7 +2,7 @@ r"""The numerical experiments on a fitted specimen: a loading history, then a lo
 
 Two sets of histories are imposed.  The first fills the range of the data: amplitude, path, rest and speed of each history are
 a point of a Sobol' sequence, so that the influences of these variables can be separated.  The second follows the reversals of
-a test up to several places along its path, and then a smaller half cycle.  Every history ends with the same loop,
+a test up to several places along its path.  Every history ends with the same loop,
 
     0 → a → −a → a, and a rest at a.
 
@@ -32,8 +32,6 @@ _AMPLITUDES, _SPEEDS = (0.1, 1.0), (0.1, 1.0)
 _MOST = 200
 # Steps of a leg at least, and of a rest at most; one of a rest is this share of the time that the largest elongation takes.
 _LEAST, _RESTING, _REST_STEP = 32, 240, 0.1
-# Amplitude of the half cycle between a test and the loop, over the largest elongation of its side so far: between both.
-_BETWEEN = 0.75
 # Places along the path of a test.
 PLACES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -141,15 +139,18 @@ def along_the_test(visited: Range, step: float) -> Histories:
     runs = []
     for place in PLACES:
         done = turns[passed <= place * passed[-1] * (1 + 1e-12)]
-        runs.append([*_through(_settled(done), 0.5 * visited.rate, step), *_loop(visited, visited.rate, step)])
+        settled = _settled(done, _LOOP * visited.elongation)
+        runs.append([*_through(settled, 0.5 * visited.rate, step), *_loop(visited, visited.rate, step)])
     return _joined(runs, np.full(len(PLACES), visited.rate), np.zeros(len(PLACES)))
 
 
-def _settled(turns: Float[np.ndarray, " r"]) -> Float[np.ndarray, " k"]:
-    """The reversals, then a smaller half cycle to the other side: otherwise the force at zero, and with it the loop, would depend
-    on the branch that the test ended on."""
-    other = turns.min() if turns[-1] > 0 else turns.max()
-    return np.asarray([*turns, _BETWEEN * other, 0.0])
+def _settled(turns: Float[np.ndarray, " r"], loop: float) -> Float[np.ndarray, " k"]:
+    """The reversals to zero; if the last one is beyond the loop, over a half cycle to the other side, with an amplitude between
+    both.  Otherwise the force at zero, and with it the loop, would depend on the branch that the test ended on."""
+    side = np.sign(turns[-1])
+    last, other = side * turns[-1], np.max(-side * turns)
+    between = [-side * min(0.5 * (last + loop), other)] if min(last, other) > loop else []
+    return np.asarray([*turns, *between, 0.0])
 
 
 def largest_changes(turns: Float[np.ndarray, " r"], most: int) -> Float[np.ndarray, " k"]:

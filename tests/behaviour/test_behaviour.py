@@ -211,11 +211,13 @@ def test_the_test_is_followed_to_shares_of_its_path():
     assert np.abs(slope / length - middle)[found.imposed.lengths > 0].max() < 0.1 * RATE
 
 
-@pytest.mark.parametrize("last", [40, 41])
-def test_the_loop_does_not_depend_on_the_branch_that_the_test_ended_on(last):
+@pytest.mark.parametrize(
+    "amplitudes", [np.linspace(0, 1, 40), np.linspace(0, 1, 41), np.sin(np.linspace(0, np.pi, 41))]
+)
+def test_the_loop_does_not_depend_on_the_branch_that_the_test_ended_on(amplitudes):
     # Sliders in parallel that yield one after the other, some only beyond the test: after a large half cycle the force stays on
     # one side in smaller loops.  Nothing changes in them with the history.
-    visited = Range(0.06 * np.linspace(0, 1, 41)[:last] * (-1.0) ** np.arange(41)[:last], RATE)
+    visited = Range(0.06 * amplitudes * (-1.0) ** np.arange(len(amplitudes)), RATE)
     histories = along_the_test(visited, STEP)
     u, yields = histories.imposed.elongation[:, ::2], np.linspace(0.004, 0.08, 20)
     each = np.zeros((len(u), u.shape[1], 20))
