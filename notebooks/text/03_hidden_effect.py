@@ -90,12 +90,12 @@ diagnosis
 ax = hx.plot.ranking(diagnosis)
 
 # %% [markdown]
-# The named effect is bold. Pinching lowers the error to the noise, too. However, its score is 49 nats lower, and its
-# probability is only 0.001. (If the diagnosis names no effect, the notebook ends here.)
+# The named effect is bold. Pinching lowers the error to the noise, too. However, it describes all measurements together worse,
+# and its probability is below 0.001. (If the diagnosis names no effect, the notebook ends here.)
 #
-# The brackets after an effect contain its form. The next cell prints the probabilities of the compared forms. In all three
-# forms, the stiffness falls with the absorbed energy. The linear form has the largest probability, but the measurements do
-# not exclude the other two:
+# The brackets after an effect contain its form. The next cell prints the probabilities of the forms. The two forms with the
+# largest evidence are compared by their predictions, and the others have the probability zero. The linear form has the larger
+# probability, but the measurements do not exclude the other one:
 
 # %%
 diagnosis.ranking[0].forms
