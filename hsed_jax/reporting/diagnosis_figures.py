@@ -59,8 +59,10 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     kinds = [_kind(candidate, diagnosis, alike) for candidate in shown]
     places = -np.arange(len(shown), dtype=float)
     errors, (_, before) = np.asarray([candidate.error_test for candidate in shown]), diagnosis.error
-    # Larger errors are cut: they would hide the other bars.
-    right = _CUT * before
+    # Larger errors are cut: they would hide the other bars.  A model that diverges has no finite error.
+    right = _CUT * next(
+        error for error in (before, *np.sort(errors)[::-1], 1.0) if error > 0 and not has_diverged(error)
+    )
     for kind, (text, look) in enumerate(looks.items()):
         own = [i for i, k in enumerate(kinds) if k == kind]
         if own:
@@ -68,7 +70,8 @@ def ranking(diagnosis: Diagnosis) -> Picture:
     cut = ~(errors <= right)
     panel.plot(np.full(cut.sum(), right), places[cut], ">", color=style.DARK_GREY, ms=5, clip_on=False, zorder=3)
     panel.axvspan(0.0, diagnosis.noise_floor, color=style.GREY, alpha=0.3, linewidth=0, zorder=3, label="noise")
-    panel.axvline(before, color=style.RED, linestyle=_DASHES, linewidth=1.2, label="model as it was")
+    if not has_diverged(before):
+        panel.axvline(before, color=style.RED, linestyle=_DASHES, linewidth=1.2, label="model as it was")
     panel.set_xlim(0.0, right)
     panel.set_yticks(places, [style.words(c.called) for c in shown])
     panel.tick_params(axis="y", length=0)

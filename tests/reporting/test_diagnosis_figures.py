@@ -94,6 +94,16 @@ def test_a_bar_is_the_error_with_a_candidate_and_named_effects_and_look_alikes_s
     )
 
 
+@pytest.mark.parametrize(("errors", "right"), [((0.2, 0.4, np.inf), 0.5), ((np.inf,), 1.25)])
+def test_candidates_are_drawn_where_the_model_as_it_was_diverges(errors, right):
+    names = ("pinching", "slip", "gap")
+    candidates = [with_error(candidate(name, 1.0), error) for name, error in zip(names, errors, strict=False)]
+    picture = ranking(replace(diagnosis(candidates), error=(0.3, np.inf)))
+    (panel,) = picture.figure.axes
+    assert_allclose(panel.get_xlim(), (0.0, right))
+    assert "model as it was" not in panel.get_legend_handles_labels()[1] and "has diverged" in picture.alt
+
+
 def test_hatched_bars_stand_in_a_page(tmp_path):
     found = diagnosis(
         [candidate("pinching", 800.0, 0.97), candidate("slip", 790.5, 0.03)], ["pinching"], [["pinching", "slip"]]
