@@ -43,7 +43,7 @@ class Measured(NamedTuple):
     @property
     def scatter(self) -> float:
         """Standard deviation of the mean square of the noise, as a squared error: such a difference may be due to chance."""
-        return self.noise**2 * math.sqrt(2 / max(int(self.used.sum()), 1))
+        return self._scatter(float(self.used.sum()))
 
     def error(self, predicted: np.ndarray, scored: np.ndarray | None = None) -> float:
         """Normalised error of predictions (n, J) for the scored samples, by default for all measured ones."""
@@ -124,7 +124,11 @@ class Measured(NamedTuple):
         """
         left, noise = self.error(predicted) ** 2, self.noise**2
         counts = self._counts(standard)
-        return math.sqrt(max(left - noise, 0.0) + noise * math.sqrt(2 / max(counts.sum(), 1.0)))
+        return math.sqrt(max(left - noise, 0.0) + self._scatter(float(counts.sum())))
+
+    def _scatter(self, samples: float) -> float:
+        """The scatter for a number of independent samples."""
+        return self.noise**2 * math.sqrt(2 / max(samples, 1.0))
 
     def _counts(self, standard: "Standard") -> np.ndarray:
         """The effective number of samples of each output, (G,)."""

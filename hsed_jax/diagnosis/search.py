@@ -189,10 +189,11 @@ class Search:
         return self._unsupported(larger, here)
 
     def _smallest_that_predicts(self, scatter: float) -> Set:
-        """The smallest set with the least test error, up to what is not material; the best set stays within `scatter`, squared.
+        """The smallest set with the least test error, up to what is not material.
 
         The choice is made last and between all fitted sets: what describes the fitted experiments best may predict others badly.
-        If the noise explains the best set, the evidence is exact, and only the sets of the path are compared with it.
+        The best set stays if its squared error is larger by at most `scatter`.  If the noise explains the best set, the evidence
+        is exact, and only the sets of the path are compared with it.
         """
         is_noise = self._is_explained(self._fits.best(self.best))
         sets = self.path if is_noise else [*self.path, *(m.effects for m in self.all() if self._is_supported(m))]
@@ -204,8 +205,7 @@ class Search:
 
     def _is_supported(self, model: Model) -> bool:
         """Whether each effect of a model raises the evidence of the fitted measurements."""
-        without = [self.model(less) for less in less_one(model.effects) if less in self._fits]
-        return all(model.log_evidence > less.log_evidence for less in without)
+        return all(model.log_evidence > self.model(s).log_evidence for s in less_one(model.effects) if s in self._fits)
 
     def _unsupported(self, larger: Set, here: Set) -> str | None:
         """The reason why the fitted measurements do not support a set with more effects than another one; None without one."""
