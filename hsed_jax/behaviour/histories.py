@@ -145,12 +145,14 @@ def along_the_test(visited: Range, step: float) -> Histories:
 
 
 def _settled(turns: Float[np.ndarray, " r"], loop: float) -> Float[np.ndarray, " k"]:
-    """The reversals to zero; if the last one is beyond the loop, over a half cycle to the other side, with an amplitude between
+    """The reversals to zero; after the last one beyond the loop, over a half cycle to the other side, with an amplitude between
     both.  Otherwise the force at zero, and with it the loop, would depend on the branch that the test ended on."""
-    side = np.sign(turns[-1])
-    last, other = side * turns[-1], np.max(-side * turns)
-    between = [-side * min(0.5 * (last + loop), other)] if min(last, other) > loop else []
-    return np.asarray([*turns, *between, 0.0])
+    beyond = turns[np.abs(turns) > loop]
+    if not beyond.size:
+        return np.asarray([*turns, 0.0])
+    side = np.sign(beyond[-1])
+    most = max(np.max(-side * turns), loop)
+    return np.asarray([*turns, -side * min(0.5 * (abs(beyond[-1]) + loop), most), 0.0])
 
 
 def largest_changes(turns: Float[np.ndarray, " r"], most: int) -> Float[np.ndarray, " k"]:

@@ -119,7 +119,10 @@ def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, 
     a = u[:, ends[1]]
     close = _NEAR * a
     jumps = rise.continued(a) - down.continued(a), up.continued(-a) - down.continued(-a)
+    by_rate = 0.25 * (jumps[0] + jumps[1])
     zeros = down.crossing(), up.crossing()
+    # Where the force without the part that depends on the rate is zero.
+    middles = down.crossing(-by_rate), up.crossing(by_rate)
     peaks = up.force[:, -1], -down.force[:, -1]
     size = 0.5 * (np.abs(peaks[0]) + np.abs(peaks[1]))
     unloading = down.slope(a, close), up.slope(-a, close)
@@ -132,7 +135,7 @@ def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, 
     highest = height.max(axis=1)
     is_loop = highest > _HEIGHT * size
     return {
-        "initial_stiffness": 0.5 * (down.tangent(zeros[0], close) + up.tangent(zeros[1], close)),
+        "initial_stiffness": 0.5 * (down.tangent(middles[0], close) + up.tangent(middles[1], close)),
         "unloading_stiffness+": unloading[0],
         "unloading_stiffness-": unloading[1],
         "reloading_stiffness": 0.5
@@ -144,7 +147,7 @@ def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, 
         "pinching_ratio": np.where(is_loop, height[:, 18] / np.where(is_loop, highest, 1.0), np.nan),
         "recentring": 1 - 0.5 * (np.abs(zeros[0]) + np.abs(zeros[1])) / a,
         "play": _play(up, _HEIGHT * size, close),
-        "rate_force": 0.25 * (jumps[0] + jumps[1]),
+        "rate_force": by_rate,
         "relaxation": (force[:, ends[3]] - force[:, ends[4]]) / size,
     }
 

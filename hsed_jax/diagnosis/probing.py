@@ -35,6 +35,8 @@ _DRAWS = 24
 _TOLD = 0.1
 # If these quantities do not change, the report states it.
 _STEADY = ("initial_stiffness", "strength")
+# A quantity that varies by more than this along the test is not said to stay: its change is uncertain, or that of the law.
+_STAYS = 0.2
 _SIDES = {"+": "tension", "-": "compression"}
 
 Drawn = Sequence[dict[str, float]]
@@ -96,7 +98,8 @@ class Probe(NamedTuple):
         random = np.random.default_rng(self.problem.seed)
         for element in self.simulator.elements:
             before, after = self._along(plain, element, [self.fitted(plain)]), self._along(best, element, draws)
-            if before is None or after is None:
+            law = self._along(best, element, [{**self.fitted(best), **self._without(self._effects(best, element))}])
+            if before is None or after is None or law is None:
                 continue
             strength = float(np.mean(np.abs(after["strength+"])))
             sizes = {"play": self.visited.elongation, "rate_force": strength}
@@ -108,7 +111,7 @@ class Probe(NamedTuple):
             for name, values in after.items():
                 low, high = np.quantile(values, [0.05, 0.95], axis=0)
                 curves[named(element.name, name)] = ProbedCurve(before[name][0], values.mean(axis=0), low, high)
-            own = _both_sides([self._change(name, values, sizes, element) for name, values in after.items()])
+            own = _both_sides([self._change(name, values, law[name], sizes, element) for name, values in after.items()])
             drivers = self._drivers(best, element) if own else {}
             own = [replace(one, drivers=drivers.get(_read(one), {})) for one in own]
             own += self._added(
@@ -116,8 +119,8 @@ class Probe(NamedTuple):
             )
             own = own or self._apart(before, after, element)
             changes += [replace(one, sentence=told(one, self.problem.pair)) for one in own]
-            said = {one.quantity for one in own}
-            steady |= {named(element.name, q): _moved(after, q) for q in _STEADY if q not in said}
+            moved = {q: _moved(after, q) for q in _STEADY if q not in {one.quantity for one in own}}
+            steady |= {named(element.name, q): most for q, most in moved.items() if most <= _STAYS}
         return Behaviours(sorted(changes, key=_place), steady, curves, PLACES, self.problem.pair)
 
     def _along(self, model: Model, element: Element, draws: Drawn) -> dict[str, Float[np.ndarray, "S places"]] | None:
@@ -143,23 +146,33 @@ class Probe(NamedTuple):
         return {n: {d: round(s, 3) for d, s in shares.items() if s >= _TOLD} for n, shares in by_name.items()}
 
     def _change(
-        self, name: str, values: Float[np.ndarray, "S places"], sizes: Mapping[str, float], element: Element
+        self,
+        name: str,
+        values: Float[np.ndarray, "S places"],
+        law: Float[np.ndarray, "1 places"],
+        sizes: Mapping[str, float],
+        element: Element,
     ) -> Behaviour | None:
-        """A quantity that changes from the virgin specimen to the end of the test; None if it hardly changes.
+        """A quantity that changes from the virgin specimen to the end of the test; None if it hardly changes, or if the law
+        alone changes it as much: a loop depends a little on the loops before it, without any effect.
 
         Arguments:
             name: of the quantity, with its side.
             values: by draw and position along the test.
+            law: of the same specimen without its effects.
             sizes: reference sizes of some quantities, by name.
             element: the specimen.
         """
         quantity, side = name.rstrip("+-"), name[-1]
         first, last = values[:, 0], values[:, -1]
         unit = QUANTITIES[quantity][1]
-        scale = np.max(_size(name, sizes, values[:, [0, -1]].mean(axis=0)))
         low, high = np.quantile(last - first, [0.05, 0.95])
+        change, of_law = (
+            (ends[1] - ends[0]) / np.max(_size(name, sizes, ends))
+            for ends in (values[:, [0, -1]].mean(axis=0), law[0, [0, -1]])
+        )
         # The 90 % interval of the change is on one side of zero, and the mean change has a practical size.
-        if not (low * high > 0 and abs(np.mean(last - first)) > PRACTICAL * scale):
+        if not (low * high > 0 and min(np.sign(low) * change, np.sign(low) * (change - of_law)) > PRACTICAL):
             return None
         return Behaviour(
             quantity=quantity,
@@ -224,7 +237,8 @@ class Probe(NamedTuple):
 
     def _traits_in(self, model: Model, element: Element) -> dict[str, Trait]:
         """The main behaviour of each effect of a model in a specimen."""
-        found = self._contributions(model, element, [self.fitted(model)], self._effects(model, element))
+        own = [effect for effect in self._effects(model, element) if effect in model.effects]
+        found = self._contributions(model, element, [self.fitted(model)], own)
         return {effect: main for effect, (own, *_) in found.items() if (main := trait(own)) is not None}
 
     def _contributions(
@@ -234,7 +248,7 @@ class Probe(NamedTuple):
         if not own:
             return {}
         histories = over_the_range(self.visited, self.step(draws[0], element))
-        models = [{**draw, **absent} for draw in draws for absent in ({}, *map(self._absent, own))]
+        models = [{**draw, **absent} for draw in draws for absent in ({}, *(self._without([one]) for one in own))]
         answered = answers(self._specimen(model, element), models, histories.imposed)
         each = enumerate(zip(answered.force, answered.ok, strict=True))
         read = {number: probed(histories, force, ok) for number, (force, ok) in each if ok.any()}
@@ -261,7 +275,8 @@ class Probe(NamedTuple):
     # Models as specimens.
 
     def _effects(self, model: Model, element: Element) -> list[str]:
-        return [effect for effect in spring_effects(self.simulator, element) if effect in model.effects]
+        """The effects of a specimen in a model: those of the study, and the named ones."""
+        return [effect for effect in spring_effects(self.simulator, element) if self._has(model, effect)]
 
     def _specimen(self, model: Model, element: Element) -> Simulator:
         """The specimen with the effects of a model, in their forms."""
@@ -284,14 +299,16 @@ class Probe(NamedTuple):
 
     def _named(self, model: Model, theta: np.ndarray) -> dict[str, float]:
         """Parameters of the law and of the effects of a model, by name."""
-        has = {"", *model.effects, *(element.name for element in self.simulator.elements)}
-        return {n: float(v) for n, v in zip(self.problem.names, theta, strict=True) if owner_of(n) in has}
+        return {n: float(v) for n, v in zip(self.problem.names, theta, strict=True) if self._has(model, owner_of(n))}
 
-    def _absent(self, effect: str) -> dict[str, float]:
-        """The amplitude of an effect at its neutral value, at which the effect is absent."""
-        amplitude = next(iter(parameters_of(self.problem.catalogue[effect]).values()))
-        assert amplitude.neutral is not None
-        return {f"{effect}.{amplitude.name}": amplitude.neutral}
+    def _has(self, model: Model, owner: str) -> bool:
+        """Whether an effect is in a model: candidates are if the model names them."""
+        return owner in model.effects or owner not in self.problem.effects
+
+    def _without(self, effects: Sequence[str]) -> dict[str, float]:
+        """The amplitudes of effects at their neutral values, at which the effects are absent."""
+        amplitudes = {e: next(iter(parameters_of(self.simulator.effects[e]).values())) for e in effects}
+        return {f"{e}.{one.name}": one.neutral for e, one in amplitudes.items() if one.neutral is not None}
 
 
 # These quantities are compared with the first model if nothing changes along the test.

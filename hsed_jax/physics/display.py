@@ -43,7 +43,7 @@ def shown(pair: Pair, name: str, *values: npt.ArrayLike) -> tuple[float, str]:
 
 
 def shown_in(pair: Pair, si: str, *values: npt.ArrayLike) -> tuple[float, str]:
-    """Divisor and unit of a displayed elongation, force, rate or work of a specimen.
+    """Divisor and unit of a displayed elongation, force, rate, stiffness or work of a specimen.
 
     Arguments:
         pair: that the specimen is measured in, with the units that its campaign declares.
@@ -59,6 +59,10 @@ def shown_in(pair: Pair, si: str, *values: npt.ArrayLike) -> tuple[float, str]:
             return known[0], f"{known[1]}/s"
         is_small = readable("m", *values)[0] < 1
         return (1e-3, f"m{unit}") if is_small and unit in ("m/s", "rad/s") else (1.0, unit)
+    if si == "N/m" and pair.elongation_unit != "1":
+        across, up = _declared(pair, "elongation"), _declared(pair, "force")
+        if across is not None and up is not None:
+            return up[0] / across[0], f"{up[1]}/{across[1]}"
     return readable(pair.unit(si), *values)
 
 

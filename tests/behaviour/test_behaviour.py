@@ -75,6 +75,20 @@ def test_a_force_that_depends_on_the_rate_is_read_at_every_speed(histories, expo
     assert found.quantities["rate_force"] == pytest.approx(5e3 * (histories.speed / RATE) ** exponent, abs=0.02 * 5e3)
 
 
+def test_the_initial_stiffness_of_a_curved_branch_is_that_of_the_spring_beside_a_dashpot(histories):
+    # Each branch of the spring is an exponential: its slope depends on where it is read.
+    u, strength = histories.imposed.elongation[:, ::2], YIELD
+    force = np.zeros(u.shape)
+    for k in range(1, u.shape[1]):
+        moved = u[:, k] - u[:, k - 1]
+        limit = np.sign(moved) * strength
+        force[:, k] = limit + (force[:, k - 1] - limit) * np.exp(-STIFFNESS / strength * np.abs(moved))
+    beside = force + 0.5 * YIELD * histories.imposed.rate[:, ::2] / RATE
+    alone, both = (read(histories, own).quantities["initial_stiffness"] for own in (force, beside))
+    assert alone == pytest.approx(STIFFNESS, rel=0.02)
+    assert both == pytest.approx(alone, rel=0.05)
+
+
 def test_play_is_as_wide_as_the_slack(histories):
     u, slack = histories.imposed.elongation[:, ::2], 0.008
     force = STIFFNESS * (u - np.clip(u, -slack, slack))
@@ -212,7 +226,13 @@ def test_the_test_is_followed_to_shares_of_its_path():
 
 
 @pytest.mark.parametrize(
-    "amplitudes", [np.linspace(0, 1, 40), np.linspace(0, 1, 41), np.sin(np.linspace(0, np.pi, 41))]
+    "amplitudes",
+    [
+        np.linspace(0, 1, 40),
+        np.linspace(0, 1, 41),
+        np.append(np.linspace(0, 1, 41), 0.0),
+        np.sin(np.linspace(0, np.pi, 41)),
+    ],
 )
 def test_the_loop_does_not_depend_on_the_branch_that_the_test_ended_on(amplitudes):
     # Sliders in parallel that yield one after the other, some only beyond the test: after a large half cycle the force stays on

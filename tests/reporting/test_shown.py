@@ -30,6 +30,7 @@ def test_what_is_declared_is_shown_and_what_follows_from_it():
         assert (factor, unit) == (pytest.approx(KIP), "kip")
     assert shown_in(pair, "m", np.asarray([0.1])) == (INCH, "inch")
     assert shown_in(pair, "m/s", np.asarray([0.1])) == (INCH, "inch/s")
+    assert shown_in(pair, "N/m", np.asarray([1e6])) == (pytest.approx(KIP / INCH), "kip/inch")
     assert amount(pair, "elongation", 0.0508) == "2 inch"
     # Nobody declares these, and the masses are no part of the specimen.
     assert shown(pair, "dissipated_energy", np.asarray([3e4])) == (1e3, "kJ")
@@ -41,6 +42,7 @@ def test_plain_units_take_a_readable_prefix_and_a_quantity_its_own_unit():
     pair = Campaign("frame", "displacement", channels=plain).pair
     assert shown(pair, "force", np.asarray([2.5e5])) == (1e3, "kN")
     assert shown(pair, "elongation", np.asarray([0.02])) == (1e-3, "mm")
+    assert shown_in(pair, "N/m", np.asarray([2e6])) == (1e6, "MN/m")
     both = replace(in_inches(), quantities={"peak_force": Channel("peak_force", "kN")}).pair
     assert shown(both, "peak_force", np.asarray([2.5e6])) == (1e3, "kN")
     turned = {"elongation": Channel("elongation", "deg"), "force": Channel("force", "kip*inch")}

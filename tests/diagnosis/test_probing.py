@@ -1,0 +1,60 @@
+"""What is said of the behaviour of a specimen is what its effects do, whether a diagnosis or the study names them."""
+
+import numpy as np
+import pytest
+from builders.springs import spring_study
+
+from hsed_jax.diagnosis.candidates import problem_of
+from hsed_jax.diagnosis.evidence import Sampled
+from hsed_jax.diagnosis.fit_state import FitState
+from hsed_jax.diagnosis.fits import Model
+from hsed_jax.diagnosis.probing import Probe
+from hsed_jax.measurements import Campaign, Channel, Experiment, Record
+from hsed_jax.study.build import Built
+
+# Steel whose corners become round with the plastic excursion (Menegotto and Pinto 1973), without isotropic hardening.
+STEEL = {"k": 1e7, "F_y": 8e4, "b": 0.02, "R0": 15.0, "cR1": 0.925}
+LOST = 0.02
+
+
+def campaign() -> Campaign:
+    """Growing cycles to zero; the force does not matter, because nothing is fitted."""
+    turns = 0.05 * np.repeat([0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0], 4) * np.tile([1.0, -1.0], 14)
+    turns = np.asarray([0.0, *turns, 0.0])
+    elongation = np.interp(np.linspace(0, turns.size - 1, 800), np.arange(turns.size), turns)
+    record = Record(np.arange(800.0), {"elongation": elongation, "force": 1e7 * np.clip(elongation, -8e-3, 8e-3)})
+    channels = {"elongation": Channel("elongation", "mm"), "force": Channel("force", "kN")}
+    return Campaign("steel", "displacement", {}, channels, {}, (Experiment("E", record=record),))
+
+
+def told(model: dict, known: dict[str, float], effects: set[str]):
+    """The behaviour of a model with known parameters, of which a diagnosis has named some effects."""
+    study = spring_study(model={"spring": "menegotto_pinto", **model})
+    problem = problem_of(Built(study, campaign()), campaign(), effects=[*effects] or ["coulomb_friction"])
+    x = problem.models.point({name: value for name, value in known.items() if name in problem.names})
+    submodel = problem.models.submodel(np.arange(len(problem.names)))
+    fit = FitState(submodel, x, 0)
+    named = Model(frozenset(effects), {}, {}, fit, 0.0, 0.0, 1.0)
+    plain = named._replace(effects=frozenset())
+    theta = problem.models.theta(x, submodel)
+    assert problem.simulator is not None and problem.visited is not None
+    probe = Probe(problem, problem.simulator, problem.visited)
+    return probe.behaviours(plain, named, Sampled(0.0, 1.0, theta[None], np.ones(1)), 0.0)
+
+
+def test_what_a_law_does_without_any_effect_is_no_change():
+    found = told({"parameters": STEEL}, {}, set())
+    # The slope at zero force differs along the test, because the corners become round.
+    curve = found.curves["initial_stiffness"].mean
+    assert abs(curve[-1] / curve[0] - 1) > 0.1
+    assert found.changes == [] and found.sentence == ""
+
+
+def test_an_effect_that_the_study_has_is_told_as_one_that_a_diagnosis_names():
+    named = told({"parameters": STEEL}, {"stiffness_degradation.delta": LOST}, {"stiffness_degradation"})
+    declared = told({"parameters": STEEL, "effects": {"stiffness_degradation": {"delta": LOST}}}, {}, set())
+    for found in (named, declared):
+        (stiffness,) = (one for one in found.changes if one.quantity == "initial_stiffness")
+        assert stiffness.change == "falls"
+        assert stiffness.after.mean < 0.8 * stiffness.before.mean
+    assert named.sentence == pytest.approx(declared.sentence)
