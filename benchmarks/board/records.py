@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import hsed_jax as hx
-from hsed_jax.measurements.checks import stop_at_errors
+from hsed_jax.measurements.checks import SAMPLES, stop_at_errors
 from hsed_jax.measurements.thinning import thinned
 from hsed_jax.measurements.turns import cycle_numbers
 
@@ -177,13 +177,19 @@ _ROWS: dict[str, Callable[[Sequence[hx.Experiment]], Test]] = dict(
 def windowed(campaign: hx.Campaign) -> hx.Campaign:
     """A campaign whose fitted experiments are the windows between the cycles that `every third cycle` leaves out.
 
+    A window with fewer samples than the package takes is neither fitted nor judged.
+
     Raises:
         UserError: as `tests_of`.
     """
     parts: list[hx.Experiment] = []
     for group, test in zip(_shared(campaign), tests_of(campaign, QUESTIONS[1]), strict=True):
         record = _thin(group[0])
+        if not campaign.has_time:  # its time is the number of a row
+            record = replace(record, time=np.arange(float(len(record))))
         for rows in np.split(np.arange(len(record)), np.flatnonzero(np.diff(test.held)) + 1):
+            if len(rows) < SAMPLES:
+                continue
             begin, end = (float(record.time[row]) for row in rows[[0, -1]])
             name, split = f"{group[0].id}_{len(parts) + 1:03d}", "test" if test.held[rows[0]] else "train"
             parts.append(replace(group[0], id=name, record=record, window=(begin, end), split=split))
