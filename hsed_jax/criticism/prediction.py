@@ -239,18 +239,25 @@ def _shown(
     groups: np.ndarray,
     outputs: Sequence[str],
 ) -> np.ndarray:
-    """Sd of the noise of each history from its record, (n, J); NaN if it cannot be estimated."""
+    """Sd of the noise of each history from its record, (n, J); NaN if it cannot be estimated.  Where a history is too short, it is
+    the median of the other experiments: one sensor measures all of them."""
     found = np.full(measured.shape, np.nan)
-    for row, experiment in enumerate(experiments):
-        for group in np.unique(groups):
-            (columns,) = np.nonzero(groups == group)
-            if experiment.record is None or columns.size < HISTORY:
+    for group in np.unique(groups):
+        (columns,) = np.nonzero(groups == group)
+        if columns.size < HISTORY:
+            continue
+        noises = np.full(len(experiments), np.nan)
+        for row, experiment in enumerate(experiments):
+            if experiment.record is None:
                 continue
             own = used[row, columns]
-            if own.sum() >= _SEEN:
-                time = experiment.record.time[own[: len(experiment.record)]]
-                known = experiment.record.noise.get(outputs[int(group)])
-                found[row, columns] = noise_estimate(time, measured[row, columns][own]) if known is None else known
+            known = experiment.record.noise.get(outputs[int(group)], np.nan)
+            if np.isnan(known) and own.sum() >= _SEEN:
+                known = noise_estimate(experiment.record.time[own[: len(experiment.record)]], measured[row, columns][own])
+            noises[row] = known
+        seen = noises[np.isfinite(noises)]
+        if seen.size:
+            found[:, columns] = np.where(np.isfinite(noises), noises, np.median(seen))[:, None]
     return found
 
 

@@ -76,6 +76,7 @@ def thinned(experiment: Experiment, samples: int) -> Experiment:
     chosen = np.union1d(fixed, np.minimum(evenly, rows - 1)).astype(int)
     # The samples that are left do not resolve the signal, whose curvature would count as noise.
     noise = {name: noise_estimate(record.time[within], values[within]) for name, values in record.channels.items()}
+    noise |= record.noise
     thin = Record(record.time[chosen], {name: values[chosen] for name, values in record.channels.items()}, noise)
     return replace(experiment, record=thin)
 

@@ -289,6 +289,18 @@ def test_noise_is_estimated_where_none_is_declared():
     assert compare(prediction, None, DECLARED, 0, []).train.noise_floor == pytest.approx(0.36 / scale)
 
 
+def test_a_history_of_few_samples_has_the_noise_of_the_others():
+    random, t = np.random.default_rng(17), np.linspace(0, 10, 400)
+    measured = np.full((2, 400), np.nan)
+    measured[0] = np.sin(t) + 0.05 * random.standard_normal(400)
+    measured[1, :6] = np.sin(t[:6])
+    experiments = [recorded(f"E0{row}", t[:size], force=measured[row, :size]) for row, size in enumerate((400, 6))]
+    # The inferred error is an upper bound: without an estimate, the noise would be as large.
+    prediction = prediction_of(measured, np.nan_to_num(measured), 1e6, experiments=experiments)
+    found = compare(prediction, None, ~DECLARED, 0, []).train
+    assert found.noise_floor == pytest.approx(0.05 / np.nanstd(measured), rel=0.2)
+
+
 def test_noise_of_several_outputs_with_records_of_different_lengths_is_estimated_for_each():
     random = np.random.default_rng(16)
     samples, sizes, noises = 400, (400, 250), {"force": 0.05, "elongation": 0.2}
