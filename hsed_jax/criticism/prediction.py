@@ -239,8 +239,10 @@ def _shown(
     groups: np.ndarray,
     outputs: Sequence[str],
 ) -> np.ndarray:
-    """Sd of the noise of each history from its record, (n, J); NaN if it cannot be estimated.  Where a history is too short, it is
-    the median of the other experiments: one sensor measures all of them."""
+    """Sd of the noise of each history from its record, (n, J); NaN if it cannot be estimated.
+
+    Where a history is too short, it is the median of the other experiments: one sensor measures all of them.
+    """
     found = np.full(measured.shape, np.nan)
     for group in np.unique(groups):
         (columns,) = np.nonzero(groups == group)
@@ -253,7 +255,9 @@ def _shown(
             own = used[row, columns]
             known = experiment.record.noise.get(outputs[int(group)], np.nan)
             if np.isnan(known) and own.sum() >= _SEEN:
-                known = noise_estimate(experiment.record.time[own[: len(experiment.record)]], measured[row, columns][own])
+                known = noise_estimate(
+                    experiment.record.time[own[: len(experiment.record)]], measured[row, columns][own]
+                )
             noises[row] = known
         seen = noises[np.isfinite(noises)]
         if seen.size:

@@ -23,6 +23,9 @@ from hsed_jax.physics.simulator import Parametrised
 from hsed_jax.study import parts
 from hsed_jax.study.excitations import excitation_of, protocol_of
 
+# Records whose thinning is told.
+_TOLD = 3
+
 
 @dataclass(frozen=True)
 class Experiments:
@@ -84,10 +87,14 @@ class Experiments:
         return tuple(thinned(e, samples) for e in experiments) if self.component_test else tuple(experiments)
 
     def thinning_notes(self, campaign: Campaign) -> list[str]:
-        """The thinning of the records of a campaign, in a sentence each; unchanged records have no sentence."""
+        """The thinning of the records of a campaign, in a sentence each: those that lose most, and the number of the others."""
         full = campaign.completed.experiments
         pairs = [(a.id, a.scored, b.scored) for a, b in zip(full, self.taken(full), strict=True) if a is not b]
-        return [f"{id} is {loss(a, b)}" for id, a, b in pairs if a is not None and b is not None]
+        losses = {id: loss(a, b) for id, a, b in pairs if a is not None and b is not None}
+        told = sorted(losses, key=lambda id: -losses[id].deviation)[:_TOLD]
+        rest = len(losses) - len(told)
+        also = [f"{rest} other records are thinned, too, and lose less"] if rest else []
+        return [f"{id} is {losses[id]}" for id in losses if id in told] + also
 
     @cached_property
     def records(self) -> list[Record]:

@@ -1,6 +1,7 @@
 """Long records of component tests: what is kept, what that costs, and that the rest of the package follows."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -172,6 +173,20 @@ def test_time_and_memory_are_forecast_and_grow_with_the_steps():
             [] if samples > 1000 else ["E01 is thinned from 1501 to 137", "E02 is thinned from 26500 to 860"]
         )
     assert said[1000] < said[28000] < 5
+
+
+def test_of_many_thinned_records_the_ones_that_lose_most_are_told():
+    record = long_record()
+    one = Experiment("E01", record=record)
+    names = [f"E{number:02d}" for number in range(1, 7)]
+    # The noise on one record is lost with its samples.
+    force = record["force"] + 0.05 * np.ptp(record["force"]) * (-1.0) ** np.arange(ROWS)
+    noisy = replace(record, channels={**record.channels, "force": force})
+    experiments = tuple(replace(one, id=name, record=noisy if name == "E05" else record) for name in names)
+    campaign = replace(campaign_of(record), experiments=experiments)
+    notes = Built(study_of(measurements={"samples": 1000}), campaign).experiments.thinning_notes(campaign)
+    assert len(notes) == 4 and any(note.startswith("E05 ") for note in notes)
+    assert notes[-1] == "3 other records are thinned, too, and lose less"
 
 
 def test_a_record_that_takes_more_steps_than_the_model_has_is_refused():
