@@ -62,7 +62,8 @@ def _largest(scale: float, share: float = 1.0) -> float:
     return -math.log(scale * share * math.sqrt(2 * math.pi))
 
 
-def _of_truncated(loc: float, scale: float, low: float, high: float) -> tuple[float, float]:
+def _mode_of_truncated(loc: float, scale: float, low: float, high: float) -> tuple[float, float]:
+    """Mode of a truncated normal distribution, and its log density there."""
     mode = min(max(loc, low), high)
     ends = [(end - loc) / scale for end in (low, high)]
     if low > loc:
@@ -112,7 +113,7 @@ _FAMILIES = {
         lambda loc, scale, low, high: scale > 0 and low < high and max(low - loc, loc - high) < 5 * scale,
         lambda loc, scale, low, high: (low, high),
         _truncated,
-        _of_truncated,
+        _mode_of_truncated,
     ),
 }
 
