@@ -63,7 +63,7 @@ def text(rows: Rows) -> str:
         for name, (title, sets) in _SHEETS.items()
         if any(row["set"] in sets and errors(row) for row in rows)
     )
-    days = [own["ended"][:10] for _, own in said]
+    days = [own["ended"][:10] for row in rows for own in row.get("own", {}).values() if "ended" in own]
     benchmark = in_units_of_the_signal()
     refused = "\n".join(f"- {reason} ({len(cases)}): {', '.join(cases)}." for reason, cases in refusals(rows).items())
     return f"""\

@@ -131,6 +131,21 @@ def test_the_program_fits_the_same_rows_as_the_other_methods():
     assert len(parts) == 4 and len({part.id for part in parts}) == 4
 
 
+def test_a_long_record_without_time_has_windows_of_its_rows(tmp_path):
+    parts = records.windowed(campaign(9000))
+    hx.write_campaign(parts, tmp_path / "campaign")
+    (first, *_), rows = parts.experiments, sum(int(part.in_window.sum()) for part in parts)
+    assert np.array_equal(first.record.time, np.arange(len(first.record)))
+    assert rows == len(first.record) < 4000
+
+
+def test_a_window_with_few_samples_is_left_out():
+    # Cycles of eleven samples each, of which the third one is judged, and half a cycle at the end.
+    whole = campaign(60, 5.5)
+    counts = [int(part.in_window.sum()) for part in records.windowed(whole)]
+    assert min(counts) >= 8 and sum(counts) < 60
+
+
 def test_two_cycles_leave_nothing_to_judge():
     with pytest.raises(hx.UserError, match="leaves no row that is held"):
         records.tests_of(campaign(240, 2), "every third cycle")
