@@ -133,13 +133,14 @@ def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, 
     middle = np.linspace(-0.9, 0.9, 37) * a[:, None]
     height = up.at(middle) - down.at(middle)
     highest = height.max(axis=1)
-    is_loop = highest > _HEIGHT * size
+    # A specimen that still loses force within the loop may have no closed loop.
+    is_loop = (highest > _HEIGHT * size) & (height[:, 18] > -_HEIGHT * size)
     return {
         "initial_stiffness": 0.5 * (down.tangent(middles[0], close) + up.tangent(middles[1], close)),
         "unloading_stiffness+": unloading[0],
         "unloading_stiffness-": unloading[1],
         "reloading_stiffness": 0.5
-        * (peaks[1] / np.maximum(zeros[0] + a, close) + peaks[0] / np.maximum(a - zeros[1], close)),
+        * (peaks[1] / np.maximum(middles[0] + a, close) + peaks[0] / np.maximum(a - middles[1], close)),
         "post_yield_stiffness": 0.5 * (down.slope(-a, _LATE * a) + up.slope(a, _LATE * a)),
         "strength+": peaks[0],
         "strength-": peaks[1],
