@@ -18,7 +18,7 @@ _DIFFERS = 0.05
 
 @style.in_house_style
 def behaviour(found: Behaviours) -> Picture | None:
-    """Probed quantities over the path of the longest test, with 90 % bands; None if nothing differs.
+    """Probed quantities over the path of the longest test, with 90 % bands; None if nothing changes.
 
     Arguments:
         found: by the diagnosis.
@@ -26,7 +26,7 @@ def behaviour(found: Behaviours) -> Picture | None:
     changed = [one.quantity for one in found.changes]
     ranked = sorted(found.curves, key=lambda name: _order(name, changed))
     shown = [name for name in ranked if _differs(found.curves[name])][:_MOST]
-    if not shown:
+    if not shown or not found.changes:
         return None
     rows = -(-len(shown) // _COLUMNS)
     figure = style.new_figure(1.9 * rows + 0.3)
@@ -42,7 +42,7 @@ def behaviour(found: Behaviours) -> Picture | None:
         "Behaviour of the specimen along the path of the longest test, from the same loop in numerical experiments on the "
         "fitted models: the model as it was, dashed, and with the named effects, with a band of 90 % over its posterior."
     )
-    said = "; ".join(one.sentence for one in found.changes) or "no quantity changes along the test"
+    said = "; ".join(one.sentence for one in found.changes)
     return Picture(figure, caption, f"{len(shown)} curves. {said}.")
 
 
