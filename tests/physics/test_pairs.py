@@ -340,7 +340,7 @@ def test_figures_and_report_of_a_joint_speak_of_moment_and_rotation(run):
     for text in ("Moment", "[kN·m]", "Rotation", "[mrad]"):
         assert text in overlay
     cycles = (run / "figures" / "cycles.svg").read_text()
-    assert "[kJ]" in cycles and "[MN·m/rad]" in cycles
+    assert "[kJ]" in cycles and "[kN·m/mrad]" in cycles
     for name in ("overlay_E01", "cycles", "error_table", "residual_coordinates"):
         drawn = run / "figures" / f"{name}.svg"
         assert not drawn.exists() or not {"Force", "Elongation", "[mm]", "[kN]"} & set(drawn.read_text().split(">")), (
