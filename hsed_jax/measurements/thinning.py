@@ -75,8 +75,8 @@ def thinned(experiment: Experiment, samples: int) -> Experiment:
     evenly = np.searchsorted(s, np.linspace(0, s[-1], max(samples - len(fixed), samples // 2)))
     chosen = np.union1d(fixed, np.minimum(evenly, rows - 1)).astype(int)
     # The samples that are left do not resolve the signal, whose curvature would count as noise.
-    noise = {name: noise_estimate(record.time[within], values[within]) for name, values in record.channels.items()}
-    noise |= record.noise
+    unknown = {name: values[within] for name, values in record.channels.items() if name not in record.noise}
+    noise = {**record.noise, **{name: noise_estimate(record.time[within], own) for name, own in unknown.items()}}
     thin = Record(record.time[chosen], {name: values[chosen] for name, values in record.channels.items()}, noise)
     return replace(experiment, record=thin)
 

@@ -1,7 +1,6 @@
 """What is said of the behaviour of a specimen is what its effects do, whether a diagnosis or the study names them."""
 
 import numpy as np
-import pytest
 from builders.springs import spring_study
 
 from hsed_jax.diagnosis.candidates import problem_of
@@ -57,4 +56,4 @@ def test_an_effect_that_the_study_has_is_told_as_one_that_a_diagnosis_names():
         (stiffness,) = (one for one in found.changes if one.quantity == "initial_stiffness")
         assert stiffness.change == "falls"
         assert stiffness.after.mean < 0.8 * stiffness.before.mean
-    assert named.sentence == pytest.approx(declared.sentence)
+    assert named.sentence == declared.sentence
