@@ -22,6 +22,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from hsed_jax.backend import cores
@@ -241,10 +242,10 @@ class Batch:
                 outputs,
                 self._conditions,
                 present,
-                jnp.asarray(np.pad(thetas[places][:, columns], (*padding, (0, 0)), mode="edge")),
-                jnp.asarray(np.pad(experiments[places], padding, mode="edge")),
-                jnp.asarray(len(places)),
-                None if stops is None else jnp.asarray(np.pad(stops[places], padding, mode="edge")),
+                np.pad(thetas[places][:, columns], (*padding, (0, 0)), mode="edge"),
+                np.pad(experiments[places], padding, mode="edge"),
+                np.asarray(len(places)),
+                None if stops is None else np.pad(stops[places], padding, mode="edge"),
             )
             return np.asarray(found)[: len(places), self._kept], np.asarray(ok)[: len(places)]
 
@@ -323,10 +324,10 @@ def _outputs(
     respond: Outputs,
     conditions: Conditions,
     present: Present | None,
-    thetas: Array,
-    experiments: Array,
-    count: Array,
-    stops: Array | None,
+    thetas: ArrayLike,
+    experiments: ArrayLike,
+    count: ArrayLike,
+    stops: ArrayLike | None,
 ) -> tuple[Array, Array]:
     def tile(batch: tuple[Array, Array, Array | None]) -> tuple[Array, Array]:
         thetas, experiments, stops = batch
@@ -346,5 +347,6 @@ def _outputs(
 
         return jax.vmap(one, axis_name=BATCH_AXIS)(thetas, experiments)
 
-    outputs, ok = tiled_map(tile, (thetas, experiments, stops), count=count, tile=_TILE)
+    lanes = jnp.asarray(thetas), jnp.asarray(experiments), None if stops is None else jnp.asarray(stops)
+    outputs, ok = tiled_map(tile, lanes, count=count, tile=_TILE)
     return outputs, ok.astype(float)

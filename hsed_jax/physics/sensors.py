@@ -20,6 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hsed_jax.physics.excitations import Imposed, Tabulated
+from hsed_jax.physics.gates import gated, in_any_simulation
 from hsed_jax.physics.names import own_name, owner_of
 from hsed_jax.physics.outputs import output
 from hsed_jax.physics.response import Response
@@ -34,6 +35,7 @@ def measured(
     every: int,
     *,
     is_imposed: bool,
+    is_gated: bool,
 ) -> Response:
     """The measured response.
 
@@ -43,6 +45,7 @@ def measured(
         step_length: [s], one number or one per step.
         every: histories are kept at every so many steps.
         is_imposed: the elongation is imposed (a component test), as `felt` says.
+        is_gated: what no simulation of a batch has is not computed (`hsed_jax.physics.gates`).
     """
 
     def delay_of(owner: str, own: str) -> Scalar:
@@ -59,9 +62,7 @@ def measured(
         time = times(step_length, every, values.shape[0])
         owner, own = owner_of(name), own_name(name)
         delay = delay_of(owner, own)
-        if not is_zero(delay):
-            values = shifted(values, time, delay)
-        values = values * gain(name)
+        values = _if_late(delay, is_gated, lambda: shifted(values, time, delay), values) * gain(name)
         if own != "force":
             return values
         drifting = _slowing(jnp.maximum(time - slots("drift_onset", owner), 0.0), slots("drift_slowing", owner))
@@ -81,22 +82,31 @@ def _slowing(time: Float[Array, " samples"], slowing: Scalar) -> Float[Array, " 
     return jnp.where(slowing == 0, time, jnp.log1p(s * time) / s)
 
 
-def felt(forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Array, " steps"]) -> Tabulated:
-    """The elongation of the specimen in a component test, from the measured (imposed) one."""
+def felt(
+    forcing: Tabulated, slots: Callable[[str], Any], step_length: Float[Array, " steps"], *, is_gated: bool
+) -> Tabulated:
+    """The elongation of the specimen in a component test, from the measured (imposed) one; `is_gated` as in `measured`."""
     gain, delay = slots("elongation_gain"), slots("force_delay") - slots("elongation_delay")
-    samples = forcing.samples
-    if not is_zero(delay):
+
+    def later() -> Imposed:
         time = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.repeat(0.5 * step_length, 2))])
         # The elongation is shifted because it is smooth; the force has a corner at every reversal.
-        elongation, rate = (shifted(values, time, delay) for values in samples)
+        elongation, rate = (shifted(values, time, delay) for values in forcing.samples)
         # The specimen rests before the path begins; after its end the motion continues unchanged.
         beyond = jnp.maximum(time - delay - time[-1], 0.0)
-        samples = Imposed(elongation + rate * beyond, jnp.where(time - delay >= time[0], rate, 0.0))
+        return Imposed(elongation + rate * beyond, jnp.where(time - delay >= time[0], rate, 0.0))
 
     def divided(values: Array) -> Array:
         return values / gain
 
-    return Tabulated(jax.tree.map(divided, samples))
+    return Tabulated(jax.tree.map(divided, _if_late(delay, is_gated, later, forcing.samples)))
+
+
+def _if_late[T](delay: Scalar, is_gated: bool, later: Callable[[], T], unchanged: T) -> T:
+    """What a delay [s] changes; a shift takes as long as half a simulation, and few simulations have one."""
+    if is_zero(delay):
+        return unchanged
+    return gated(in_any_simulation(jnp.asarray(delay) != 0) if is_gated else None, later, lambda: unchanged)
 
 
 def shifted(

@@ -258,21 +258,21 @@ class Simulator(AbstractModel):
             excitation = self.excitation(conditions.inputs)
             length = excitation.step_length(self.timeline)
             forcing = excitation.forcing(length, steps)
-        given = self._given(parameters, conditions.acting)
+        given, is_gated = self._given(parameters, conditions.acting), conditions.acting is not None
         slots = self._setup(given)
         if slots is not None and self.structure is not None:
             forcing = Shaken(forcing, slots("ground_motion"))
         elif slots is not None:
             assert isinstance(forcing, Tabulated)
-            forcing = gated(
-                given.rig_acts, partial(felt, forcing, slots, jax.numpy.asarray(length)), lambda f=forcing: f
-            )
+            imposed = partial(felt, forcing, slots, jax.numpy.asarray(length), is_gated=is_gated)
+            forcing = gated(given.rig_acts, imposed, lambda f=forcing: f)
         system = self._system(given, slots)
         response = integrate(
             system, forcing, length, steps, channels=channels, quantities=quantities, every=every, stop=stop
         )
         if slots is not None:
-            sensed = partial(measured, response, slots, length, every, is_imposed=self.structure is None)
+            is_imposed = self.structure is None
+            sensed = partial(measured, response, slots, length, every, is_imposed=is_imposed, is_gated=is_gated)
             response = gated(given.rig_acts, sensed, lambda r=response: r)
         if every > 1 or conditions.recorded is None or conditions.recorded.ends is None:
             return response

@@ -702,7 +702,7 @@ def sensed_force(slots, step):
     """What a load cell shows of no force at 101 times."""
     response = Response({}, {"force": jnp.zeros(101)}, jnp.asarray(True))
     found = measured(response, lambda slot, owner="": slots.get(slot, 0.0 if slot in ADDED else 1.0), step, 1,
-                     is_imposed=False)  # fmt: skip
+                     is_imposed=False, is_gated=False)  # fmt: skip
     return found.channels["force"]
 
 
