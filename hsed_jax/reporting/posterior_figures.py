@@ -37,13 +37,10 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
     count = len(names)
     width, numbers = (16, 4) if count <= _WIDE else (10, 2)
     figure = style.new_figure(min(1.4 + 1.6 * count, 8.0))
-    grid = figure.subplots(count, count, squeeze=False, sharex="col")
+    grid, above = figure.add_gridspec(count, count), {}
     for row, y in enumerate(names):
-        for column, x in enumerate(names):
-            panel = grid[row, column]
-            if column > row:
-                panel.remove()
-                continue
+        for column, x in enumerate(names[: row + 1]):
+            panel = above[column] = figure.add_subplot(grid[row, column], sharex=above.get(column))
             for look, one in fits.items():
                 if {x, y} <= set(one.names):
                     values = [draws[look][name] / scales[name][0] for name in (x, y)]
@@ -56,8 +53,8 @@ def posterior(fit: Fit, before: Fit | None, truth: Mapping[str, float]) -> Pictu
             panel.locator_params("x", nbins=numbers)
             panel.locator_params("y", nbins=4)
     figure.align_labels()
-    _entries(grid[0, 0], list(fits), any(name in truth for name in names))
-    style.legend(figure, grid[0, 0])
+    _entries(figure.axes[0], list(fits), any(name in truth for name in names))
+    style.legend(figure, figure.axes[0])
     rest = len(fit.names) - count
     said = "; ".join(
         f"{name} {style.amount(fit.map[name] / scales[name][0], scales[name][1])}" for name in names if name in fit.map
