@@ -73,7 +73,7 @@ def contribution(
     u, v = histories.imposed.elongation[:, ::2], histories.imposed.rate[:, ::2] / rate
     weight = np.zeros(u.shape)
     weight[:, 1:] = np.abs(np.diff(u, axis=1))
-    is_read = np.isfinite(probed[0].quantities["strength+"]) & np.isfinite(probed[1].quantities["strength+"])
+    is_read = np.isfinite(probed[0].quantities["force+"]) & np.isfinite(probed[1].quantities["force+"])
     weight *= is_read[:, None]
     # During the acceleration of a leg, the rate belongs to no class.
     is_steady = np.pad(np.abs(np.diff(v, axis=1)) < 1e-3 * np.abs(v[:, 1:]), ((0, 0), (1, 1)))
@@ -111,8 +111,7 @@ def _predictivity(values: np.ndarray, driver: np.ndarray) -> float:
 
 
 def _changes(own: Probed, without: Probed, amplitude: float) -> dict[str, np.ndarray]:
-    strength = np.nanmean(np.abs(without.quantities["strength+"]))
-    scales = {"strength": strength, "force": strength, "play": amplitude}
+    scales = {"force": np.nanmean(np.abs(without.quantities["force+"])), "play": amplitude}
     found = {}
     for name, values in own.quantities.items():
         before, kind = without.quantities[name], name.rstrip("+-").rsplit("_", 1)[-1]

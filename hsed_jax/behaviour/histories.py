@@ -6,6 +6,9 @@ a test up to several places along its path.  Every history ends with the same lo
 
     0 → a → −a → a, and a rest at a.
 
+A cycle to the largest elongation A may follow, a → A → −A.  It shows the strength: in a pinched specimen, the force at the
+smaller a falls although the strength stays.
+
 Legs have a constant speed, except for a short stretch at both ends, where the speed changes linearly. The elongation is
 therefore smooth at a reversal, and a force that depends on the rate has a jump there.
 """
@@ -78,7 +81,8 @@ class Histories(NamedTuple):
 
     Attributes:
         imposed: the elongations of B histories.
-        ends: number of the step at which the loop begins, and at which its legs and its rest end, (5,).
+        ends: number of the step at which the loop begins, and at which its legs and its rest end, (5,); with a cycle to the
+            largest elongation also those at its two turns, (7,).
         speed: of the loop [m/s], (B,).
         rest: before the loop [s], (B,).
     """
@@ -102,13 +106,14 @@ def range_of(elongation: Float[np.ndarray, " n"], rate: float, has_time: bool = 
     return Range(u[half_cycles(u)], rate, has_time)
 
 
-def over_the_range(visited: Range, step: float, count: int = 32) -> Histories:
+def over_the_range(visited: Range, step: float, count: int = 32, *, to_largest: bool = False) -> Histories:
     """Histories that fill the range.
 
     Arguments:
         visited: by the data.
         step: the longest change of the elongation in a step [m].
         count: a power of two.
+        to_largest: a cycle to the largest elongation follows each loop.
     """
     from scipy.stats import qmc
 
@@ -125,23 +130,24 @@ def over_the_range(visited: Range, step: float, count: int = 32) -> Histories:
                 np.asarray([0.0, *(amplitude * (-1) ** k for k in range(number)), 0.0]), 0.5 * visited.rate, step
             ),
             *_rest(0.0, rest, visited),
-            *_loop(visited, speed, step),
+            *_loop(visited, speed, step, to_largest),
         ]
         for amplitude, number, rest, speed in zip(amplitudes, counts, rests, speeds, strict=True)
     ]
-    return _joined(runs, speeds, rests)
+    return _joined(runs, speeds, rests, to_largest)
 
 
 def along_the_test(visited: Range, step: float) -> Histories:
-    """The reversals of the test up to each of `PLACES` along its path; arguments as of `over_the_range`."""
+    """The reversals of the test up to each of `PLACES` along its path, with a cycle to the largest elongation; arguments as of
+    `over_the_range`."""
     turns = largest_changes(visited.turns, _MOST)
     passed = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(turns)))])
     runs = []
     for place in PLACES:
         done = turns[passed <= place * passed[-1] * (1 + 1e-12)]
         settled = _settled(done, _LOOP * visited.elongation)
-        runs.append([*_through(settled, 0.5 * visited.rate, step), *_loop(visited, visited.rate, step)])
-    return _joined(runs, np.full(len(PLACES), visited.rate), np.zeros(len(PLACES)))
+        runs.append([*_through(settled, 0.5 * visited.rate, step), *_loop(visited, visited.rate, step, True)])
+    return _joined(runs, np.full(len(PLACES), visited.rate), np.zeros(len(PLACES)), True)
 
 
 def _settled(turns: Float[np.ndarray, " r"], loop: float) -> Float[np.ndarray, " k"]:
@@ -178,11 +184,14 @@ def _through(turns: np.ndarray, rate: float, step: float) -> list[_Leg]:
     return [_leg(a, b, rate, step) for a, b in itertools.pairwise(turns) if a != b]
 
 
-def _loop(visited: Range, speed: float, step: float) -> list[_Leg]:
-    a = _LOOP * visited.elongation
-    turns = [0.0, a, -a, a]
-    legs = [_leg(start, end, speed, step) for start, end in itertools.pairwise(turns)]
-    return [*legs, *(_rest(a, _longest_rest(visited), visited) or [_Leg(a, a, 0.0, 8)])]
+def _loop(visited: Range, speed: float, step: float, to_largest: bool) -> list[_Leg]:
+    a, most = _LOOP * visited.elongation, visited.elongation
+
+    def through(*turns: float) -> list[_Leg]:
+        return [_leg(start, end, speed, step) for start, end in itertools.pairwise(turns)]
+
+    rest = _rest(a, _longest_rest(visited), visited) or [_Leg(a, a, 0.0, 8)]
+    return [*through(0.0, a, -a, a), *rest, *(through(a, most, -most) if to_largest else [])]
 
 
 def _longest_rest(visited: Range) -> float:
@@ -202,9 +211,9 @@ def _leg(start: float, end: float, speed: float, step: float) -> _Leg:
     return _Leg(start, end, size / speed / (1 - _RAMP), 8 * math.ceil(steps / 8))
 
 
-def _joined(runs: Sequence[list[_Leg]], speeds: np.ndarray, rests: np.ndarray) -> Histories:
+def _joined(runs: Sequence[list[_Leg]], speeds: np.ndarray, rests: np.ndarray, to_largest: bool) -> Histories:
     imposition, size = _padded(runs)
-    ends = size - np.cumsum([leg.steps for leg in reversed(runs[0][-4:])])
+    ends = size - np.cumsum([leg.steps for leg in reversed(runs[0][-6 if to_largest else -4 :])])
     return Histories(imposition, (*reversed(ends.tolist()), size), speeds, rests)
 
 

@@ -24,7 +24,8 @@ the names:
 | | one side's differs from the other's | sign | `asymmetry`, `buckling` |
 
 If the table does not distinguish an effect, it keeps the name of its formula.  A name is only exchanged for one of the same
-kind, because in a specimen that hardly yields, a change of the loops resembles a force of the elongation.
+kind, because in a specimen that hardly yields, a change of the loops resembles a force of the elongation.  The strength of
+the table is the force at the ends of a loop that is smaller than the largest elongation.
 """
 
 from typing import NamedTuple
@@ -155,7 +156,7 @@ def _value(v: np.ndarray, force: np.ndarray, rate: float) -> float:
 
 def _hysteretic(found: Contribution) -> Trait | None:
     whole = ("unloading_stiffness+", "unloading_stiffness-")
-    sides = ("strength+", "strength-")
+    sides = ("force+", "force-")
     stiffness, strength, middle = found.mean(*whole), found.mean(*sides), found.mean("initial_stiffness")
     apart = max(0.5 * abs(found.mean(plus) - found.mean(minus)) for plus, minus in (whole, sides))
     if _MORE * apart > max(abs(stiffness), abs(strength)):

@@ -6,6 +6,7 @@ the reversal.  Half the difference is the force that depends on the rate, for an
 $$f(v) = \tfrac12\,[F(a^-) - F(a^+)] .$$
 """
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +26,8 @@ class Probed(NamedTuple):
     """The quantities of every history.
 
     Attributes:
-        quantities: by name, SI, (B,) each; those of one side end with its sign.
+        quantities: by name, SI, (B,) each; those of one side end with its sign.  `force` is that at the ends of the loop; the
+            strength is the force at the largest elongation, where the histories go there.
         drivers: the drivers at the first turn of the loop, by name, SI, (B,) each.
     """
 
@@ -142,15 +144,22 @@ def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, 
         "reloading_stiffness": 0.5
         * (peaks[1] / np.maximum(middles[0] + a, close) + peaks[0] / np.maximum(a - middles[1], close)),
         "post_yield_stiffness": 0.5 * (down.slope(-a, _LATE * a) + up.slope(a, _LATE * a)),
-        "strength+": peaks[0],
-        "strength-": peaks[1],
+        "force+": peaks[0],
+        "force-": peaks[1],
         "sharpness": np.where(has_corner, (at_corner - up.force[:, 0]) / span, 1.0),
         "pinching_ratio": np.where(is_loop, height[:, 18] / np.where(is_loop, highest, 1.0), np.nan),
         "recentring": 1 - 0.5 * (np.abs(zeros[0]) + np.abs(zeros[1])) / a,
         "play": _play(up, _HEIGHT * size, close),
         "rate_force": by_rate,
         "relaxation": (force[:, ends[3]] - force[:, ends[4]]) / size,
-    }
+    } | _strength(ends, u, force)
+
+
+def _strength(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, Float[np.ndarray, " B"]]:
+    """The force at the largest elongation of both sides, where the histories go there, at constant speed like the loop."""
+    legs = itertools.pairwise(ends[4:])
+    sides = zip(("strength+", "strength-"), (1, -1), legs, strict=False)
+    return {name: sign * _constant(u, force, *leg).force[:, -1] for name, sign, leg in sides}
 
 
 def _play(branch: _Branch, level: np.ndarray, close: np.ndarray) -> Float[np.ndarray, " B"]:

@@ -132,12 +132,12 @@ class Probe(NamedTuple):
         if len(kept) < 0.5 * len(draws):
             return None
         read = [probed(histories, found.force[k], found.ok[k]).quantities for k in kept]
-        return {name: np.stack([one[name] for one in read]) for name in read[0]}
+        return {name: np.stack([one[name] for one in read]) for name in read[0] if name.rstrip("+-") in QUANTITIES}
 
     def _drivers(self, model: Model, element: Element) -> dict[str, dict[str, float]]:
         """The drivers of each quantity in the best fit over the range of the data, with their predictivity."""
         fit = self.fitted(model)
-        histories = over_the_range(self.visited, self.step(fit, element))
+        histories = over_the_range(self.visited, self.step(fit, element), to_largest=True)
         found = answers(self._specimen(model, element), [fit], histories.imposed)
         if found.ok[0].sum() < _ENOUGH:
             return {}

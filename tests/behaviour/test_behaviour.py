@@ -53,8 +53,8 @@ def histories() -> Histories:
 def test_a_perfect_loop_has_its_closed_form(histories):
     found = read(histories, elastoplastic(histories)).quantities
     a = 0.5 * VISITED.elongation
-    assert found["strength+"] == pytest.approx(YIELD, rel=1e-12)
-    assert found["strength-"] == pytest.approx(YIELD, rel=1e-12)
+    assert found["force+"] == pytest.approx(YIELD, rel=1e-12)
+    assert found["force-"] == pytest.approx(YIELD, rel=1e-12)
     for name in ("initial_stiffness", "unloading_stiffness+", "unloading_stiffness-"):
         assert found[name] == pytest.approx(STIFFNESS, rel=1e-3), name
     # No force is left where the unloading from the peak has passed F_y/k.
@@ -256,8 +256,24 @@ def test_histories_that_could_not_be_simulated_have_no_number(histories):
     ok = np.arange(len(force)) != 3
     force[3] = np.nan
     found = probed(histories, force, ok)
-    assert math.isnan(found.quantities["strength+"][3])
-    assert np.isfinite(found.quantities["strength+"][ok]).all()
+    assert math.isnan(found.quantities["force+"][3])
+    assert np.isfinite(found.quantities["force+"][ok]).all()
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3])
+def test_a_specimen_that_reloads_towards_its_peak_keeps_its_strength(lost):
+    # Oriented to the origin: at a given elongation the force falls with the largest one, as of pinched concrete, but the force at
+    # the largest one is F_y throughout, less a share that is lost with the path.
+    histories = along_the_test(VISITED, STEP)
+    u = histories.imposed.elongation[:, ::2]
+    path = np.cumsum(np.abs(np.diff(u, axis=1, prepend=0.0)), axis=1)
+    kept = 1 - lost * np.minimum(path / VISITED.path, 1.0)
+    peak = np.maximum(np.maximum.accumulate(np.abs(u), axis=1), YIELD / STIFFNESS)
+    found = read(histories, kept * YIELD * u / peak).quantities
+    for side in "+-":
+        assert found[f"strength{side}"][-1] == pytest.approx(YIELD * (1 - lost), rel=0.02)
+        assert found[f"strength{side}"][0] == pytest.approx(YIELD * (1 - 0.1 * lost), rel=0.03)
+        assert found[f"force{side}"][-1] < 0.55 * found[f"force{side}"][0]
 
 
 def test_the_main_changes_are_said_first_and_what_stays_is_compared_with_the_model_as_it_was():
