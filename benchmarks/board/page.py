@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 import hsed_jax as hx
+from hsed_jax.measurements.checks import SAMPLES
 
 COMMAND = "python benchmarks/published.py --page docs"
 _COLUMNS = 10
@@ -88,7 +89,8 @@ force of zero. A record of more than {MOST_ROWS} rows is thinned ([long records]
 
 Two questions are asked. The *last rows* are the last third of a file, or what a campaign declares. In most tests they hold the
 largest cycles, so this question is an extrapolation. *Every third cycle* leaves out cycles 3, 6, 9, ... and fits the others, so
-this question is an interpolation. To hsed_jax the rows that are not fitted are test experiments, windows of the record.
+this question is an interpolation. To hsed_jax the rows that are not fitted are test experiments, windows of the record. A
+window of fewer than {SAMPLES} samples is left out.
 
 Seconds are CPU seconds. Those of hsed_jax are of the whole run, from the raw file's study to its report. The runs of
 hsed_jax ended {" to ".join(sorted({min(days), max(days)})) if days else "never"}.
@@ -115,6 +117,9 @@ The smallest error of a record is bold.
 {record_table(rows)}
 
 ## Results of hsed_jax
+
+The stiffness is that of a loop to half of the largest elongation, of the virgin specimen and after the whole test. The strength
+of these runs is the force at the ends of this loop.
 
 {sentences}
 
