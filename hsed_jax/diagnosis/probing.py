@@ -111,7 +111,7 @@ class Probe(NamedTuple):
             for name, values in after.items():
                 low, high = np.quantile(values, [0.05, 0.95], axis=0)
                 curves[named(element.name, name)] = ProbedCurve(before[name][0], values.mean(axis=0), low, high)
-            own = _both_sides([self._change(name, values, law[name], sizes, element) for name, values in after.items()])
+            own = _both_sides(self._changed(after, law, sizes, element))
             drivers = self._drivers(best, element) if own else {}
             own = [replace(one, drivers=drivers.get(_read(one), {})) for one in own]
             own += self._added(
@@ -145,6 +145,26 @@ class Probe(NamedTuple):
         by_name = {name: dependence(values, read.drivers) for name, values in read.quantities.items()}
         return {n: {d: round(s, 3) for d, s in shares.items() if s >= _TOLD} for n, shares in by_name.items()}
 
+    def _changed(
+        self,
+        after: Mapping[str, np.ndarray],
+        law: Mapping[str, np.ndarray],
+        sizes: Mapping[str, float],
+        element: Element,
+    ) -> list[Behaviour]:
+        """The quantities that change; arguments as of `_change`, by name of the quantity.
+
+        One side of the loop is read after the other one, so both sides of a specimen change a little differently: if one changes,
+        half as large a change of the other one is a change of both.
+        """
+        found = {name: self._change(name, after[name], law[name], sizes, element, PRACTICAL) for name in after}
+        for name, one in found.copy().items():
+            twin = name[:-1] + {"+": "-", "-": "+"}.get(name[-1], "")
+            if one is not None and twin in found and found[twin] is None:
+                other = self._change(twin, after[twin], law[twin], sizes, element, 0.5 * PRACTICAL)
+                found[twin] = other if other is not None and other.change == one.change else None
+        return [one for one in found.values() if one is not None]
+
     def _change(
         self,
         name: str,
@@ -152,6 +172,7 @@ class Probe(NamedTuple):
         law: Float[np.ndarray, "1 places"],
         sizes: Mapping[str, float],
         element: Element,
+        least: float,
     ) -> Behaviour | None:
         """A quantity that changes from the virgin specimen to the end of the test; None if it hardly changes, or if the law
         alone changes it as much: a loop depends a little on the loops before it, without any effect.
@@ -162,6 +183,7 @@ class Probe(NamedTuple):
             law: of the same specimen without its effects.
             sizes: reference sizes of some quantities, by name.
             element: the specimen.
+            least: smallest relative change.
         """
         quantity, side = name.rstrip("+-"), name[-1]
         first, last = values[:, 0], values[:, -1]
@@ -172,7 +194,7 @@ class Probe(NamedTuple):
             for ends in (values[:, [0, -1]].mean(axis=0), law[0, [0, -1]])
         )
         # The 90 % interval of the change is on one side of zero, and the mean change has a practical size.
-        if not (low * high > 0 and min(np.sign(low) * change, np.sign(low) * (change - of_law)) > PRACTICAL):
+        if not (low * high > 0 and min(np.sign(low) * change, np.sign(low) * (change - of_law)) > least):
             return None
         return Behaviour(
             quantity=quantity,
@@ -339,9 +361,8 @@ def _read(one: Behaviour) -> str:
     return one.quantity + (signs.get(one.sides, "+") if has_sides else "")
 
 
-def _both_sides(found: Sequence[Behaviour | None]) -> list[Behaviour]:
+def _both_sides(changes: Sequence[Behaviour]) -> list[Behaviour]:
     """Changes; if both sides have the same change, only the one in tension is kept, for both sides."""
-    changes = [one for one in found if one is not None]
     twins = {(one.quantity, one.change) for one in changes if one.sides == "compression"}
     alike = {(one.quantity, one.change) for one in changes if one.sides == "tension"} & twins
     return [

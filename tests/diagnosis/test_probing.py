@@ -1,6 +1,7 @@
 """What is said of the behaviour of a specimen is what its effects do, whether a diagnosis or the study names them."""
 
 import numpy as np
+import pytest
 from builders.springs import spring_study
 
 from hsed_jax.diagnosis.candidates import problem_of
@@ -57,3 +58,12 @@ def test_an_effect_that_the_study_has_is_told_as_one_that_a_diagnosis_names():
         assert stiffness.change == "falls"
         assert stiffness.after.mean < 0.8 * stiffness.before.mean
     assert named.sentence == declared.sentence
+
+
+@pytest.mark.parametrize("lost", [2.86e-5, 2.9e-5, 3.0e-5])
+def test_a_specimen_that_is_alike_to_both_sides_changes_on_both(lost):
+    # A tenth is lost in tension.  In compression, which is read after it, the change is by 0.01 to 0.02 of that smaller.
+    law = {"spring": "bouc_wen", "parameters": {"A": 1e7, "beta": 125.0, "gamma": 0.0}}
+    found = told(law, {"strength_degradation.delta": lost}, {"strength_degradation"})
+    (strength,) = (one for one in found.changes if one.quantity == "strength")
+    assert (strength.change, strength.sides) == ("falls", "both")
