@@ -24,7 +24,7 @@ def main() -> None:
         page = browser.new_page(viewport={"width": 1060, "height": 1000})
         page.goto(report.as_uri())
         page.wait_for_function("document.documentElement.dataset.ready === 'true'")
-        top = page.screenshot(clip={"x": 0, "y": 0, "width": 1060, "height": 345})
+        top = page.screenshot(clip={"x": 0, "y": 0, "width": 1060, "height": 415})
         page.add_style_tag(content="nav { display: none }")
         middle = page.locator("#histories").screenshot()
         browser.close()
