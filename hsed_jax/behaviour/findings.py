@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hsed_jax.physics import display
-from hsed_jax.physics.names import own_name
+from hsed_jax.physics.names import own_name, owner_of
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.tables import Table, Tabular, cell
 
@@ -137,7 +137,7 @@ class Behaviours(Tabular):
         if not said:
             return ""
         said += [
-            f"{QUANTITIES[own_name(name)][0]} stays within {max(100 * change, 1):.0f} %"
+            f"{_owned(owner_of(name))}{QUANTITIES[own_name(name)][0]} stays within {max(100 * change, 1):.0f} %"
             for name, change in self.steady.items()
         ]
         return "; ".join(said)
@@ -151,10 +151,9 @@ class Behaviours(Tabular):
                 for value in (one.before.mean, one.after.mean, one.after.q05, one.after.q95)
             )
             side = "" if one.sides == "both" else f" in {one.sides}"
-            owner = f"{one.specimen}: " if one.specimen else ""
             by = ", ".join(f"{DRIVERS[driver]} ({share:.2f})" for driver, share in one.drivers.items())
             words = QUANTITIES[one.quantity][0] + side + (f" [{unit}]" if unit else "")
-            rows.append((f"{owner}{words}", one.change, first, last, f"{low} to {high}", by or "–"))
+            rows.append((f"{_owned(one.specimen)}{words}", one.change, first, last, f"{low} to {high}", by or "–"))
         heads = ("quantity", "change", "virgin", "after the test", "90 %", "with")
         return Table(self.sentence or "no quantity changes", heads, rows, [])
 
@@ -169,7 +168,7 @@ def told(one: Behaviour, pair: Pair) -> str:
     """A behaviour in words, in the units in which the specimen is shown."""
     words = QUANTITIES[one.quantity][0]
     side = "" if one.sides == "both" else f" in {one.sides}"
-    owner = f"{one.specimen}: " if one.specimen else ""
+    owner = _owned(one.specimen)
     divisor, shown = _shown(one, pair)
     number = lambda value: f"{value / divisor:.3g}"  # noqa: E731
     interval = f"(90 %: {number(one.after.q05)} to {number(one.after.q95)})"
@@ -185,6 +184,11 @@ def told(one: Behaviour, pair: Pair) -> str:
         return f"{owner}{words}{side} is {now} instead of {was}{unit_text}"
     ends = f"from {number(one.before.mean)} to {number(one.after.mean)}{unit_text}"
     return f"{owner}{words}{side} {one.change} {ends}{by} {interval}"
+
+
+def _owned(specimen: str) -> str:
+    """The beginning of a statement about one of several specimens."""
+    return f"{specimen}: " if specimen else ""
 
 
 def _shown(one: Behaviour, pair: Pair) -> tuple[float, str]:

@@ -210,21 +210,21 @@ class Probe(NamedTuple):
     def _apart(
         self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], element: Element
     ) -> list[Behaviour]:
-        """Quantities that are constant along the test and differ from those of the first model, the largest difference first."""
+        """Quantities that are constant along the test and differ clearly from those of the first model, the largest difference
+        first."""
         found: list[tuple[float, Behaviour]] = []
         for name in _LASTING:
             was, now = float(before[name].mean()), after[name].mean(axis=1)
             quantity, unit = name.rstrip("+-"), QUANTITIES[name.rstrip("+-")][1]
             scale = 1.0 if unit == "1" else max(abs(was), abs(now.mean()))
-            if (apart := abs(now.mean() - was) / scale) > PRACTICAL:
+            apart, value = abs(now.mean() - was) / scale, _value(now)
+            if apart > PRACTICAL and not value.q05 <= was <= value.q95:
                 constant, unit = Value(was, was, was), self.problem.pair.unit(unit)
-                found.append(
-                    (apart, Behaviour(quantity, "differs", {}, constant, _value(now), unit, specimen=element.name))
-                )
+                found.append((apart, Behaviour(quantity, "differs", {}, constant, value, unit, specimen=element.name)))
         return [one for _, one in sorted(found, key=lambda one: -one[0])]
 
     def _added(self, model: Model, element: Element, draws: Drawn, errors: Float[np.ndarray, " S"]) -> list[Behaviour]:
-        """Forces that effects add and that depend on the elongation alone or on the rate alone.
+        """Forces that effects add and that depend on the elongation alone or on the rate alone, where the interval shows them.
 
         Arguments:
             model: with the effects.
@@ -242,6 +242,9 @@ class Probe(NamedTuple):
             most = np.asarray([curve.force[-1] for curve in curves]) + errors[: len(curves)]
             if main.quantity == "rate_force" and main.change == "steady":
                 least = most
+            low, high = np.quantile(most if least is most else most - least, [0.05, 0.95])
+            if not low * high > 0:
+                continue
             change = "is there" if main.change == "steady" else "falls" if main.change == "falls" else "grows"
             best = curves[0].share
             found.append(

@@ -90,10 +90,9 @@ diagnosis = hx.diagnose(fit)
 diagnosis
 
 # %% [markdown]
-# The diagnosis names a viscous damping that grows with the elongation. It lowers the held-out error only from 0.270 to 0.185,
-# and the rest is far above the noise. Its probability is therefore low. The catalogue has no formula for a friction that grows
-# with the elongation, so the named effect is only an approximation.
-#
+# The verdict is `ambiguous`: a viscous damping that grows with the elongation and a friction that falls with the speed lower
+# the held-out error from 0.270 to 0.145 only, and other effects explain the data about as well. The rest is far above the
+# noise. The catalogue has no formula for a friction that grows with the elongation, so these effects only approximate it.
 # ## The discovery
 
 # %%

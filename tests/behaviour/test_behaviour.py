@@ -284,6 +284,8 @@ def test_the_main_changes_are_said_first_and_what_stays_is_compared_with_the_mod
     ]
     assert Behaviours(falls).sentence == "strength; recentring"
     assert Behaviours(falls[:2]).sentence == "unloading_stiffness; post_yield_stiffness"
+    of_one = Behaviours(falls[2:3], {"storey2.strength": 0.034})
+    assert of_one.sentence == "strength; storey2: strength stays within 3 %"
     flag = Behaviour("recentring", "differs", {}, Value(0.42, 0.42, 0.42), Value(0.97, 0.96, 0.98), "1")
     assert told(flag, ELONGATION_AND_FORCE) == "recentring is 0.97 (90 %: 0.96 to 0.98) instead of 0.42"
 

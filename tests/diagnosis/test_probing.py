@@ -27,8 +27,8 @@ def campaign() -> Campaign:
     return Campaign("steel", "displacement", {}, channels, {}, (Experiment("E", record=record),))
 
 
-def told(model: dict, known: dict[str, float], effects: set[str]):
-    """The behaviour of a model with known parameters, of which a diagnosis has named some effects."""
+def told(model: dict, known: dict[str, float], effects: set[str], model_error: float = 0.0):
+    """The behaviour of a model with known parameters and a relative error, of which a diagnosis has named some effects."""
     study = spring_study(model={"spring": "menegotto_pinto", **model})
     problem = problem_of(Built(study, campaign()), campaign(), effects=[*effects] or ["coulomb_friction"])
     x = problem.models.point({name: value for name, value in known.items() if name in problem.names})
@@ -39,7 +39,7 @@ def told(model: dict, known: dict[str, float], effects: set[str]):
     theta = problem.models.theta(x, submodel)
     assert problem.simulator is not None and problem.visited is not None
     probe = Probe(problem, problem.simulator, problem.visited)
-    return probe.behaviours(plain, named, Sampled(0.0, 1.0, theta[None], np.ones(1)), 0.0)
+    return probe.behaviours(plain, named, Sampled(0.0, 1.0, theta[None], np.ones(1)), model_error)
 
 
 def test_what_a_law_does_without_any_effect_is_no_change():
@@ -67,3 +67,11 @@ def test_a_specimen_that_is_alike_to_both_sides_changes_on_both(lost):
     found = told(law, {"strength_degradation.delta": lost}, {"strength_degradation"})
     (strength,) = (one for one in found.changes if one.quantity == "strength")
     assert (strength.change, strength.sides) == ("falls", "both")
+
+
+@pytest.mark.parametrize("model_error", [0.01, 0.5])
+@pytest.mark.parametrize(("effect", "quantity"), [("hardening", "elastic_force"), ("coulomb_friction", "strength")])
+def test_a_force_is_told_unless_the_error_of_the_model_hides_it(effect, quantity, model_error):
+    found = told({"parameters": STEEL}, {f"{effect}.delta": 0.2}, {effect}, model_error)
+    assert {quantity} <= {one.quantity for one in found.changes} or model_error > 0.1
+    assert model_error < 0.1 or found.changes == []
