@@ -6,8 +6,8 @@ a test up to several places along its path.  Every history ends with the same lo
 
     0 → a → −a → a, and a rest at a.
 
-A cycle to the largest elongation A may follow, a → A → −A.  It shows the strength: in a pinched specimen, the force at the
-smaller a falls although the strength stays.
+A cycle to the largest elongations of both sides may follow, a → A⁺ → A⁻.  It shows the strength: in a pinched specimen, the
+force at the smaller a falls although the strength stays.
 
 Legs have a constant speed, except for a short stretch at both ends, where the speed changes linearly. The elongation is
 therefore smooth at a reversal, and a force that depends on the rate has a jump there.
@@ -185,13 +185,15 @@ def _through(turns: np.ndarray, rate: float, step: float) -> list[_Leg]:
 
 
 def _loop(visited: Range, speed: float, step: float, to_largest: bool) -> list[_Leg]:
-    a, most = _LOOP * visited.elongation, visited.elongation
+    a = _LOOP * visited.elongation
+    # Each side as far as it was tested, at least to the end of the loop.
+    highest, lowest = max(visited.turns.max(), a), min(visited.turns.min(), -a)
 
     def through(*turns: float) -> list[_Leg]:
         return [_leg(start, end, speed, step) for start, end in itertools.pairwise(turns)]
 
     rest = _rest(a, _longest_rest(visited), visited) or [_Leg(a, a, 0.0, 8)]
-    return [*through(0.0, a, -a, a), *rest, *(through(a, most, -most) if to_largest else [])]
+    return [*through(0.0, a, -a, a), *rest, *(through(a, highest, lowest) if to_largest else [])]
 
 
 def _longest_rest(visited: Range) -> float:

@@ -27,7 +27,7 @@ class Probed(NamedTuple):
 
     Attributes:
         quantities: by name, SI, (B,) each; those of one side end with its sign.  `force` is that at the ends of the loop; the
-            strength is the force at the largest elongation, where the histories go there.
+            strength is the force at the largest elongation of its side, where the histories go there.
         drivers: the drivers at the first turn of the loop, by name, SI, (B,) each.
     """
 
@@ -156,7 +156,7 @@ def _read(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, 
 
 
 def _strength(ends: tuple[int, ...], u: np.ndarray, force: np.ndarray) -> dict[str, Float[np.ndarray, " B"]]:
-    """The force at the largest elongation of both sides, where the histories go there, at constant speed like the loop."""
+    """The force at the largest elongation of either side, where the histories go there, at constant speed like the loop."""
     legs = itertools.pairwise(ends[4:])
     sides = zip(("strength+", "strength-"), (1, -1), legs, strict=False)
     return {name: sign * _constant(u, force, *leg).force[:, -1] for name, sign, leg in sides}
