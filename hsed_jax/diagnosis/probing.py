@@ -38,6 +38,7 @@ _STEADY = ("initial_stiffness", "strength")
 # A quantity that varies by more than this along the test is not said to stay: its change is uncertain, or that of the law.
 _STAYS = 0.2
 _SIDES = {"+": "tension", "-": "compression"}
+_OTHER_SIDE = str.maketrans("+-", "-+")
 
 Drawn = Sequence[dict[str, float]]
 """Parameters of a model, by name, SI: the fit or draws of its posterior."""
@@ -159,8 +160,8 @@ class Probe(NamedTuple):
         """
         found = {name: self._change(name, after[name], law[name], sizes, element, PRACTICAL) for name in after}
         for name, one in found.copy().items():
-            twin = name[:-1] + {"+": "-", "-": "+"}.get(name[-1], "")
-            if one is not None and twin in found and found[twin] is None:
+            twin = name.translate(_OTHER_SIDE)
+            if one is not None and found[twin] is None:
                 other = self._change(twin, after[twin], law[twin], sizes, element, 0.5 * PRACTICAL)
                 found[twin] = other if other is not None and other.change == one.change else None
         return [one for one in found.values() if one is not None]
@@ -240,9 +241,8 @@ class Probe(NamedTuple):
             curves = [one.elastic if main.quantity == "elastic_force" else one.by_rate for one in own]
             least = np.asarray([curve.force[np.argmin(np.abs(curve.at))] for curve in curves])
             most = np.asarray([curve.force[-1] for curve in curves]) + errors[: len(curves)]
-            if main.quantity == "rate_force" and main.change == "steady":
-                least = most
-            low, high = np.quantile(most if least is most else most - least, [0.05, 0.95])
+            is_friction = main.quantity == "rate_force" and main.change == "steady"
+            low, high = np.quantile(most if is_friction else most - least, [0.05, 0.95])
             if not low * high > 0:
                 continue
             change = "is there" if main.change == "steady" else "falls" if main.change == "falls" else "grows"
@@ -252,7 +252,7 @@ class Probe(NamedTuple):
                     quantity=main.quantity,
                     change=change,
                     drivers={main.driver: round(best, 3)},
-                    before=_value(least),
+                    before=_value(most if is_friction else least),
                     after=_value(most),
                     unit=self.problem.pair.unit("N"),
                     specimen=element.name,

@@ -45,7 +45,7 @@ def measured(
         step_length: [s], one number or one per step.
         every: histories are kept at every so many steps.
         is_imposed: the elongation is imposed (a component test), as `felt` says.
-        is_gated: what no simulation of a batch has is not computed (`hsed_jax.physics.gates`).
+        is_gated: an effect that no simulation of the batch has is not computed (`hsed_jax.physics.gates`).
     """
 
     def delay_of(owner: str, own: str) -> Scalar:
@@ -103,7 +103,7 @@ def felt(
 
 
 def _if_late[T](delay: Scalar, is_gated: bool, later: Callable[[], T], unchanged: T) -> T:
-    """What a delay [s] changes; a shift takes as long as half a simulation, and few simulations have one."""
+    """The shifted values, if any simulation of the batch has a delay [s].  A shift takes as long as half a simulation."""
     if is_zero(delay):
         return unchanged
     return gated(in_any_simulation(jnp.asarray(delay) != 0) if is_gated else None, later, lambda: unchanged)
