@@ -26,7 +26,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from hsed_jax.backend import cores
-from hsed_jax.inference.observation import Histories, Observation, Outputs
+from hsed_jax.inference.observation import Histories, Observation, Outputs, first_alike
 from hsed_jax.physics.batch import tiled_map
 from hsed_jax.physics.gates import BATCH_AXIS, Acts
 from hsed_jax.physics.simulator import AbstractModel, Conditions, Simulator
@@ -202,6 +202,7 @@ class Batch:
         self._kept = slice(None) if kept is None else kept
         self._outputs, self._conditions = Outputs(model, observation, names), conditions
         self._present = _present(parts, len(names)) if parts else None
+        self._first = first_alike(conditions)
         self._ends = None if used is None else _steps_to(used, conditions, observation, model)
         self._steps = 1 if model.timeline is None else model.timeline.steps
         self._spent: Counter[bytes] = Counter()
@@ -219,14 +220,32 @@ class Batch:
 
         Arguments:
             thetas: parameters.
-            experiments: numbers of the experiments.
-            samples: requested samples of each history, by default all used ones; later samples repeat the last one.
+            experiments: numbers of the experiments; windows of one record are simulated once.
+            samples: requested samples of each history, by default all used ones; later samples may have any value.
         """
-        self.simulations += len(thetas)
         stops = None
         if self._ends is not None:
             most = self._ends.shape[1] - 1
             stops = self._ends[experiments, most if samples is None else np.clip(samples + _AHEAD, 0, most)]
+        alike = self._first[experiments]
+        if (alike == experiments).all():
+            return self._simulated(thetas, experiments, stops)
+        # The pairs of a parameter vector and a record, in the order in which they first occur.
+        pairs: dict[tuple[bytes, int], int] = {}
+        place = np.asarray([pairs.setdefault((t.tobytes(), e), len(pairs)) for t, e in zip(thetas, alike, strict=True)])
+        rows = np.unique(place, return_index=True)[1]
+        if stops is not None:
+            longest = np.zeros(len(rows), dtype=stops.dtype)
+            np.maximum.at(longest, place, stops)
+            stops = longest
+        outputs, ok = self._simulated(thetas[rows], alike[rows], stops)
+        return outputs[place], ok[place]
+
+    def _simulated(
+        self, thetas: np.ndarray, experiments: np.ndarray, stops: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same for simulations that differ from one another, each up to its stop."""
+        self.simulations += len(thetas)
         # The tiles are distributed over the cores.
         size = min(max(-(-len(thetas) // (cores() * _TILE)), 1) * _TILE, _CHUNK)
         chunks = [

@@ -119,6 +119,7 @@ class Data(NamedTuple):
         memory: ρ, correlation of the noise with that of the sample before, shape (n, J).
         count: how many experiments there are; rows beyond are padding.
         members: of each experiment its member of every level of a population, shape (n, L).
+        first: of each experiment the first one with the same conditions, such as another window of its record, shape (n,).
         decorrelation: of the residuals where the model's discrepancy is learned, instead of memory and weights.
     """
 
@@ -129,11 +130,12 @@ class Data(NamedTuple):
     memory: Float[Array, "n J"]
     count: Int[Array, ""]
     members: Int[Array, "n L"]
+    first: Int[Array, " n"]
     decorrelation: Decorrelation | None = None
 
 
 def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np.ndarray, count: int) -> Data:
-    """Data from measured numbers; the only place.  The noise is white until more is known.
+    """Data from measured numbers; the only place.  The noise is white until more is known, and each experiment is simulated.
 
     Arguments:
         conditions: of the experiments, leading axis n.
@@ -151,6 +153,7 @@ def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np
         np.zeros(measured.shape),
         np.asarray(count),
         np.zeros((len(measured), 0), dtype=int),
+        np.arange(len(measured)),
     )
     return Data(conditions, *jax.device_put(known))
 

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hsed_jax.errors import UserError
 from hsed_jax.inference.likelihood import Data, data_of
@@ -244,7 +244,10 @@ def assemble(
                     "absolute error"
                 )
     gaps = np.stack([observation.gaps(None if e.record is None else e.record.time) for e in rows])
-    return data_of(stacked(conditions), measured, used, gaps, len(experiments))
+    data = data_of(stacked(conditions), measured, used, gaps, len(experiments))
+    first = np.arange(len(rows))
+    first[: len(experiments)] = first_alike(stacked(conditions[: len(experiments)]))
+    return data._replace(first=jnp.asarray(first))
 
 
 def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None, excitation: Excite) -> Conditions:
@@ -366,3 +369,16 @@ def stacked(conditions: Sequence[Conditions]) -> Conditions:
     """Conditions of several experiments, leading axis n."""
     stacks = jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *conditions)
     return jax.device_put(stacks)
+
+
+def first_alike(conditions: Conditions) -> Int[np.ndarray, " n"]:
+    """For each experiment, the first one with the same conditions: several windows of one record have one simulation.
+
+    Arguments:
+        conditions: of n experiments, leading axis n.
+    """
+    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(conditions)]
+    firsts: dict[tuple[bytes, ...], int] = {}
+    return np.asarray(
+        [firsts.setdefault(tuple(leaf[k].tobytes() for leaf in leaves), k) for k in range(len(leaves[0]))]
+    )

@@ -117,8 +117,13 @@ def _over_all(tile_function: Callable, fewer: int = 1) -> Callable:
         simulation = jnp.minimum(jnp.arange(chains * size), jnp.maximum(ends[-1] - 1, 0))
         chain = jnp.minimum(jnp.sum(simulation[:, None] >= ends, axis=1), chains - 1)
         experiment = jnp.minimum(simulation - (ends - counts)[chain], size - 1)
-        batch = by_experiment[chain, experiment], jax.tree.map(lambda values: values[experiment], conditions)
-        results = tiled_map(partial(tile_function, arrays), batch, count=ends[-1], tile=tile)
+
+        def of_tile(batch):
+            # A tile selects its own conditions: those of all simulations would take more time than a few simulations.
+            thetas, experiments = batch
+            return tile_function(arrays, (thetas, jax.tree.map(lambda values: values[experiments], conditions)))
+
+        results = tiled_map(of_tile, (by_experiment[chain, experiment], experiment), count=ends[-1], tile=tile)
         at = jnp.arange(size)
         where = jnp.minimum((ends - counts)[:, None] + at, chains * size - 1)
         matters = at < counts[:, None]

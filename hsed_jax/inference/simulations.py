@@ -22,16 +22,25 @@ from hsed_jax.physics.batch import NARROW, TILE
 from hsed_jax.programs import program
 
 # Number of simulations of a call of the program, and the limit of its output numbers; a call always writes all of them.
-_LANES, _NUMBERS = 4 * TILE, 2**18
+_LANES, _NUMBERS = 2 * TILE, 2**18
 # h: outputs of an external program have about six correct digits.  The truncation error is about a millionth.
 _DIFFERENCE = 1e-3
 
 
 def points_of_a_call(data: Data) -> int:
     """Number of points that are simulated together."""
-    experiments, outputs = data.values.shape
-    lanes = min(_LANES, max(_NUMBERS // outputs, NARROW))
-    return max(1, lanes // experiments)
+    lanes = min(_LANES, max(_NUMBERS // data.values.shape[1], NARROW))
+    return max(1, lanes // len(_distinct(data)[0]))
+
+
+def _distinct(data: Data) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " n"]]:
+    """The r experiments that are simulated, and of each experiment its place among them: the windows of one record have one
+    simulation, unless their specimens have parameters of their own.
+    """
+    if data.members.shape[1]:
+        every = np.arange(len(data.values))
+        return every, every
+    return np.unique(np.asarray(data.first), return_inverse=True)
 
 
 def outputs_at(
@@ -94,10 +103,12 @@ def _called(
     posterior: Posterior, data: Data, thetas: Float[np.ndarray, "N m q"]
 ) -> tuple[Float[np.ndarray, "N n J"], Float[np.ndarray, "N n"]]:
     """Outputs at parameters of the model, for all experiments or of each its own: one call of the program."""
-    size = points_of_a_call(data)
-    counts = np.where(np.arange(size) < len(thetas), np.asarray(data.count), 0)
-    outputs, ok = _predictions(posterior.predict, filled(thetas, size), data.conditions, counts)
-    return np.asarray(outputs)[: len(thetas)], np.asarray(ok)[: len(thetas)]
+    size, (rows, places) = points_of_a_call(data), _distinct(data)
+    counts = np.where(np.arange(size) < len(thetas), np.count_nonzero(rows < np.asarray(data.count)), 0)
+    # Without windows of one record, the conditions are passed as they are: selecting their rows copies them.
+    conditions = data.conditions if len(rows) == len(places) else jax.tree.map(lambda leaf: leaf[rows], data.conditions)
+    outputs, ok = _predictions(posterior.predict, filled(thetas, size), conditions, counts)
+    return np.asarray(outputs)[: len(thetas), places], np.asarray(ok)[: len(thetas), places]
 
 
 @program
