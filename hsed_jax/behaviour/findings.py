@@ -136,11 +136,19 @@ class Behaviours(Tabular):
         said = [one.sentence for one in (main if is_told else self.changes)[:_SAID]]
         if not said:
             return ""
-        said += [
-            f"{_owned(owner_of(name))}{QUANTITIES[own_name(name)][0]} stays within {max(100 * change, 1):.0f} %"
-            for name, change in self.steady.items()
-        ]
-        return "; ".join(said)
+        return "; ".join([*said, *(self._stays(name, change) for name, change in self.steady.items())])
+
+    def _stays(self, name: str, change: float) -> str:
+        """What stays, in words, with its mean along the test; of each side if the sides differ by more than it changes."""
+        words, si = QUANTITIES[own_name(name)]
+        sides = {"+": " in tension", "-": " in compression"}
+        own = {key[len(name) :]: curve.mean for key, curve in self.curves.items() if key.rstrip("+-") == name}
+        means = {sides.get(sign, ""): float(np.abs(mean).mean()) for sign, mean in own.items()}
+        if np.ptp([*means.values()]) <= max(change, _ALIKE) * max(means.values()):
+            means = {"": float(np.mean([*means.values()]))}
+        divisor, unit = display.shown_in(self.pair, si, np.asarray([*means.values()]))
+        values = " and ".join(f"{mean / divisor:.3g} {unit}{side}" for side, mean in means.items())
+        return f"{_owned(owner_of(name))}{words} stays within {max(100 * change, 1):.0f} % of {values}"
 
     def _table(self) -> Table:
         rows = []
@@ -160,6 +168,8 @@ class Behaviours(Tabular):
 
 # Changes of a sentence.
 _SAID = 3
+# Two sides that differ by less have one value.
+_ALIKE = 0.05
 # Quantities without information beyond the initial stiffness and the strength, if these change.
 _FURTHER = ("unloading_stiffness", "reloading_stiffness", "post_yield_stiffness", "sharpness")
 

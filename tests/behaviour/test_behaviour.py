@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hsed_jax.behaviour.contributions import contribution, dependence
-from hsed_jax.behaviour.findings import Behaviour, Behaviours, Value, told
+from hsed_jax.behaviour.findings import Behaviour, Behaviours, ProbedCurve, Value, told
 from hsed_jax.behaviour.histories import PLACES, Histories, Range, along_the_test, imposed, over_the_range, range_of
 from hsed_jax.behaviour.names import Trait, called, trait
 from hsed_jax.behaviour.probes import Probed, probed
@@ -303,8 +303,14 @@ def test_the_main_changes_are_said_first_and_what_stays_is_compared_with_the_mod
     ]
     assert Behaviours(falls).sentence == "strength; recentring"
     assert Behaviours(falls[:2]).sentence == "unloading_stiffness; post_yield_stiffness"
-    of_one = Behaviours(falls[2:3], {"storey2.strength": 0.034})
-    assert of_one.sentence == "strength; storey2: strength stays within 3 %"
+    constant = {side: ProbedCurve(*np.full((4, 3), force)) for side, force in (("+", 5.1e4), ("-", -4.9e4))}
+    of_one = Behaviours(
+        falls[2:3], {"storey2.strength": 0.034}, {f"storey2.strength{s}": c for s, c in constant.items()}
+    )
+    assert of_one.sentence == "strength; storey2: strength stays within 3 % of 50 kN"
+    constant["-"] = ProbedCurve(*np.full((4, 3), -4e4))
+    of_sides = Behaviours(falls[2:3], {"strength": 0.034}, {f"strength{s}": c for s, c in constant.items()})
+    assert of_sides.sentence == "strength; strength stays within 3 % of 51 kN in tension and 40 kN in compression"
     flag = Behaviour("recentring", "differs", {}, Value(0.42, 0.42, 0.42), Value(0.97, 0.96, 0.98), "1")
     assert told(flag, ELONGATION_AND_FORCE) == "recentring is 0.97 (90 %: 0.96 to 0.98) instead of 0.42"
 

@@ -38,7 +38,7 @@ IMPROVED = {
 def test_what_a_specimen_does_is_drawn_where_it_differs_and_said():
     found = falling()
     assert found.sentence == (
-        "initial stiffness falls from 3 to 1 MN/m with the absorbed energy (90 %: 0.9 to 1.1); strength stays within 1 %"
+        "initial stiffness falls from 3 to 1 MN/m with the absorbed energy (90 %: 0.9 to 1.1); strength stays within 1 % of 40 kN"
     )
     assert "initial stiffness [MN/m]" in str(found) and "the absorbed energy (0.97)" in str(found)
     picture = behaviour_figures.behaviour(found)
