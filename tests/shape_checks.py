@@ -1,4 +1,4 @@
-"""Types and shapes are checked where a function is first called in a test, and not in thousands of calls after that.
+"""Types and shapes are checked in the first call of a function in a test, and not in thousands of calls after that.
 
 `--jaxtyping-packages` has jaxtyping's import hook decorate every function and class of the package.  To be imported before that.
 """
@@ -10,13 +10,10 @@ from types import CodeType
 
 import jaxtyping
 
-CHECKED_CALLS = 10
-"""Of each function, in each test."""
-
 _all_calls = jaxtyping.jaxtyped
 _test = 0
-# Of each function, the test that called it last and the calls in that; what a function defines anew in every call of it is one.
-_calls: dict[tuple[str, CodeType], list[int]] = {}
+# The test that called each function last; what a function defines anew in every call of it is one function.
+_last: dict[tuple[str, CodeType], int] = {}
 
 
 def begin_test() -> None:
@@ -26,23 +23,20 @@ def begin_test() -> None:
 
 
 def _at_first(function, typechecker):
-    """The checked function in the first calls of a test, and the function itself in later ones.
+    """The checked function in the first call of a test, and the function itself in later ones.
 
     The checks are made where they are first asked for, as that takes a hundred times as long as a call of them.
     """
     if not function.__annotations__:
         return function
-    calls = _calls.setdefault((function.__qualname__, function.__code__), [0, 0])
-    checked = None
+    name, checked = (function.__qualname__, function.__code__), None
 
     @functools.wraps(function)
     def called(*args, **kwargs):
         nonlocal checked
-        if calls[0] != _test:
-            calls[:] = _test, 0
-        if calls[1] >= CHECKED_CALLS:
+        if _last.get(name) == _test:
             return function(*args, **kwargs)
-        calls[1] += 1
+        _last[name] = _test
         if checked is None:
             checked = _all_calls(function, typechecker=typechecker)
         return checked(*args, **kwargs)

@@ -129,6 +129,7 @@ def test_what_the_user_set_stays(environment, code, expected):
     assert ran(BUILD + code, **environment) == expected
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["HOME", "XDG_CACHE_HOME"])
 def test_without_a_cache_one_line_says_where_and_which_variable_sets_it(name):
     code = BUILD + "import matplotlib\nassert hx.simulate(built.study, {'V_P': 2.25, 'T_P': 1.0}).ok\n"
@@ -138,6 +139,7 @@ def test_without_a_cache_one_line_says_where_and_which_variable_sets_it(name):
     assert done.returncode == 0 and line.startswith("/dev/null/") and "XDG_CACHE_HOME" in line
 
 
+@pytest.mark.whole
 def test_a_process_that_has_used_jax_keeps_the_cache_it_chose_and_simulates_in_double_precision(tmp_path):
     code = f"import jax\njax.config.update('jax_compilation_cache_dir', {str(tmp_path)!r})\n"
     code += "assert jax.numpy.zeros(3).dtype == 'float32'\n" + BUILD

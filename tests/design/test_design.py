@@ -175,6 +175,7 @@ def same_state(one, other):
         jax.tree.map(np.testing.assert_array_equal, a, b)
 
 
+@pytest.mark.whole
 def test_expected_improvement_finds_the_largest_discrepancy(campaign):
     _, state, _ = campaign
     tested = state.cube[4:]

@@ -102,12 +102,14 @@ def _alike() -> float:
     return min(np.linspace(0.0, 0.5, 51), key=lambda x: np.mean((softening(growing(), 0.0, x)[1] - goal) ** 2))
 
 
+@pytest.mark.whole
 def test_without_a_measured_force_no_loading_is_proposed(once):
     problem, search, models = once
     without = problem._replace(outputs=("dissipated_energy",))
     assert next_loading(Probe(without, problem.simulator, problem.visited), search, models) is None
 
 
+@pytest.mark.whole
 def test_the_loading_is_in_the_summary_and_among_the_notes(once):
     problem, search, models = once
     loading = next_loading(Probe(problem, problem.simulator, problem.visited), search, models)

@@ -50,6 +50,7 @@ def test_what_a_law_does_without_any_effect_is_no_change():
     assert found.changes == [] and found.sentence == ""
 
 
+@pytest.mark.whole
 def test_an_effect_that_the_study_has_is_told_as_one_that_a_diagnosis_names():
     named = told({"parameters": STEEL}, {"stiffness_degradation.delta": LOST}, {"stiffness_degradation"})
     declared = told({"parameters": STEEL, "effects": {"stiffness_degradation": {"delta": LOST}}}, {}, set())

@@ -353,6 +353,7 @@ def test_characteristic_values_of_a_campaign_are_those_of_its_loop():
     assert 0.6 * 0.04 * np.pi < found.rate < 1.1 * 0.04 * np.pi
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["steel_damper", "rc_column", "timber_connection", "friction_damper"])
 def test_study_of_a_measured_campaign_passes_its_check(shared, tmp_path, capsys, name):
     folder = shared / "data" / name

@@ -189,6 +189,7 @@ class Notebook(Watch):
             raise KeyboardInterrupt
 
 
+@pytest.mark.whole
 def test_chains_stopped_and_taken_up_again_have_the_draws_of_chains_left_alone(monkeypatch):
     posterior, data, maximum = ridge(0.3)
     whole = drawn(posterior, data, maximum, LONG)
