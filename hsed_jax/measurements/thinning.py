@@ -6,8 +6,7 @@ reversal, the largest force between two reversals, and between them samples at e
 $$s = 0.8\,\frac{\sigma}{\sigma_{end}} + 0.2\,\frac{row}{rows}, \qquad d\sigma = \frac{|d\Delta u|}{\sqrt{w}},$$
 
 with w the elongation from one reversal to the next.  Small cycles keep more than their share, because they show the stiffness,
-and a hold keeps its relaxation.  Samples are left out and never averaged: every kept sample was measured.  The windows of
-one record keep the same samples, so that one simulation serves them all.
+and a hold keeps its relaxation.  Samples are left out and never averaged: every kept sample was measured.
 """
 
 from dataclasses import replace
@@ -64,7 +63,7 @@ def thinned(experiment: Experiment, samples: int) -> Experiment:
     rows = len(record)
     turns = half_cycles(record["elongation"])
     within = np.flatnonzero(experiment.in_window)
-    kept = [turns, [0, rows - 1]]
+    kept = [turns, [0, within[0], within[-1], rows - 1]]
     if "force" in record.channels:
         force = np.abs(record["force"])
         kept.append(np.asarray([a + int(np.argmax(force[a : b + 1])) for a, b in pairwise(turns)], dtype=int))
