@@ -232,7 +232,8 @@ class Batch:
             return self._simulated(thetas, experiments, stops)
         # The pairs of a parameter vector and a record, in the order in which they first occur.
         pairs: dict[tuple[bytes, int], int] = {}
-        place = np.asarray([pairs.setdefault((t.tobytes(), e), len(pairs)) for t, e in zip(thetas, alike, strict=True)])
+        keys = zip(map(bytes, thetas), alike.tolist(), strict=True)
+        place = np.asarray([pairs.setdefault(key, len(pairs)) for key in keys], dtype=int)
         rows = np.unique(place, return_index=True)[1]
         if stops is not None:
             longest = np.zeros(len(rows), dtype=stops.dtype)
