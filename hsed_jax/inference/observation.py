@@ -245,9 +245,9 @@ def assemble(
                 )
     gaps = np.stack([observation.gaps(None if e.record is None else e.record.time) for e in rows])
     data = data_of(stacked(conditions), measured, used, gaps, len(experiments))
-    first = np.arange(len(rows))
-    first[: len(experiments)] = first_alike(stacked(conditions[: len(experiments)]))
-    return data._replace(first=jnp.asarray(first))
+    if len(rows) > len(experiments):
+        return data  # a padded program keeps its shapes while experiments are added
+    return data._replace(first=jnp.asarray(first_alike(data.conditions)))
 
 
 def conditions_of(experiment: Experiment, campaign: Campaign, grid: Grid | None, excitation: Excite) -> Conditions:
