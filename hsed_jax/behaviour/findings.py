@@ -40,6 +40,9 @@ DRIVERS = {
 }
 """Words of the drivers of a quantity."""
 
+SIDES = {"+": "tension", "-": "compression"}
+"""Words of the sides, by the sign at the end of the name of a curve."""
+
 
 class Value(NamedTuple):
     """A number with its interval, SI.
@@ -141,9 +144,8 @@ class Behaviours(Tabular):
     def _stays(self, name: str, change: float) -> str:
         """What stays, in words, with its mean along the test; of each side if the sides differ by more than it changes."""
         words, si = QUANTITIES[own_name(name)]
-        sides = {"+": " in tension", "-": " in compression"}
         own = {key[len(name) :]: curve.mean for key, curve in self.curves.items() if key.rstrip("+-") == name}
-        means = {sides.get(sign, ""): float(np.abs(mean).mean()) for sign, mean in own.items()}
+        means = {in_side(sign): float(np.abs(mean).mean()) for sign, mean in own.items()}
         if np.ptp([*means.values()]) <= max(change, _ALIKE) * max(means.values()):
             means = {"": float(np.mean([*means.values()]))}
         divisor, unit = display.shown_in(self.pair, si, np.asarray([*means.values()]))
@@ -194,6 +196,12 @@ def told(one: Behaviour, pair: Pair) -> str:
         return f"{owner}{words}{side} is {now} instead of {was}{unit_text}"
     ends = f"from {number(one.before.mean)} to {number(one.after.mean)}{unit_text}"
     return f"{owner}{words}{side} {one.change} {ends}{by} {interval}"
+
+
+def in_side(name: str) -> str:
+    """The side of a curve in words, by the sign at the end of its name; empty where it has none."""
+    side = SIDES.get(name[-1:])
+    return f" in {side}" if side else ""
 
 
 def _owned(specimen: str) -> str:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.special import ndtri
 
 from hsed_jax.behaviour.contributions import Contribution, contribution, dependence
-from hsed_jax.behaviour.findings import QUANTITIES, Behaviour, Behaviours, ProbedCurve, Value, told
+from hsed_jax.behaviour.findings import QUANTITIES, SIDES, Behaviour, Behaviours, ProbedCurve, Value, told
 from hsed_jax.behaviour.histories import PLACES, Imposition, Range, along_the_test, over_the_range
 from hsed_jax.behaviour.names import PRACTICAL, Trait, called, trait
 from hsed_jax.behaviour.probes import probed
@@ -37,7 +37,6 @@ _TOLD = 0.1
 _STEADY = ("initial_stiffness", "strength")
 # A quantity that varies by more than this along the test is not said to stay: its change is uncertain, or that of the law.
 _STAYS = 0.2
-_SIDES = {"+": "tension", "-": "compression"}
 _OTHER_SIDE = str.maketrans("+-", "-+")
 
 Drawn = Sequence[dict[str, float]]
@@ -204,7 +203,7 @@ class Probe(NamedTuple):
             before=_value(first),
             after=_value(last),
             unit=self.problem.pair.unit(unit),
-            sides=_SIDES.get(side, "both"),
+            sides=SIDES.get(side, "both"),
             specimen=element.name,
         )
 
@@ -359,7 +358,7 @@ def _value(values: np.ndarray) -> Value:
 
 def _read(one: Behaviour) -> str:
     """The name under which a quantity was evaluated, with its side."""
-    signs = {side: sign for sign, side in _SIDES.items()}
+    signs = {side: sign for sign, side in SIDES.items()}
     has_sides = one.quantity in ("strength", "unloading_stiffness")
     return one.quantity + (signs.get(one.sides, "+") if has_sides else "")
 

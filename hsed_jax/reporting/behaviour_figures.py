@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from hsed_jax.behaviour.findings import QUANTITIES, Behaviours, ProbedCurve
+from hsed_jax.behaviour.findings import QUANTITIES, Behaviours, ProbedCurve, in_side
 from hsed_jax.physics import display
 from hsed_jax.physics.names import own_name
 from hsed_jax.physics.pairs import Pair
@@ -57,9 +57,8 @@ def _curve(panel: Axes, name: str, curve: ProbedCurve, places: np.ndarray, pair:
     panel.fill_between(
         places, curve.q05 / divisor, curve.q95 / divisor, color=style.BLUE, alpha=0.25, linewidth=0, label="90 %"
     )
-    side = {"+": " in tension", "-": " in compression"}.get(name[-1], "")
     owner = f"{name.rpartition('.')[0]}: " if "." in name else ""
-    panel.set_title(f"{owner}{words}{side}", fontsize="small")
+    panel.set_title(f"{owner}{words}{in_side(name)}", fontsize="small")
     panel.set_ylabel(f"[{unit}]" if unit else "[–]")
     low, high = panel.get_ylim()
     if low > 0:
