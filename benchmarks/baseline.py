@@ -102,7 +102,7 @@ def results() -> Iterator[tuple[str, Frozen]]:
     yield "calibration: error", Frozen(compared.train.error, *SEARCHED)
     yield "calibration: noise floor", Frozen(compared.train.noise_floor, *SEARCHED)
 
-    found = diagnose(problem_of(fit.built, campaign, list(CANDIDATES), known=fit.map))
+    found = diagnose(problem_of(fit.built, campaign, list(CANDIDATES)).calibrated(fit.map))
     first = found.ranking[0]
     yield "diagnosis: verdict", Frozen(found.verdict, None, "the dashpot is far above the noise")
     yield "diagnosis: effects", Frozen(" ".join(found.effects), None, "the dashpot is far above the noise")

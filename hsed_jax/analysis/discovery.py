@@ -229,7 +229,7 @@ class _Beside:
         """The problem with these effects as candidates."""
         built = Built(self._built.study.with_own_effects(*kinds), self._built.campaign)
         names = [kind.name for kind in kinds]
-        return problem_of(built, self._campaign, names, watch=self._watch, known=self._known, apart=self._apart)
+        return problem_of(built, self._campaign, names).calibrated(self._known, self._apart, watch=self._watch)
 
     def _motions(self) -> list[Motion]:
         """The states of the first model in the training experiments."""

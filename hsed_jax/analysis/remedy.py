@@ -52,18 +52,11 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     campaign = calibration.campaign if campaign is None else campaign
     watch = watch or Watch()
     built = calibration.built
+    leaning = [one.parameter for one in calibration.fit.leaning if one.parameter in built.mechanics.parameters[0]]
 
     def problem_with(some: Campaign) -> Problem:
-        leaning = [one.parameter for one in calibration.fit.leaning if one.parameter in built.mechanics.parameters[0]]
-        return problem_of(
-            built,
-            some,
-            watch=watch,
-            known=calibration.map,
-            apart=calibration.apart(some),
-            opened=leaning,
-            samples=_SAMPLES,
-        )
+        large = problem_of(built, some, samples=_SAMPLES)
+        return large.calibrated(calibration.map, calibration.apart(some), leaning, watch)
 
     problem = problem_with(campaign)
     found = diagnosing.diagnose(problem, watch.report, watch.lead)
@@ -221,7 +214,7 @@ def improve(
         forms or {}
     )
     known, apart = calibration.map, calibration.apart(campaign)
-    problem = problem_of(calibration.built, campaign, effects, watch=watch, known=known, forms=forms, apart=apart)
+    problem = problem_of(calibration.built, campaign, effects, forms=forms).calibrated(known, apart, watch=watch)
     before = compare(calibration, campaign)
     train = problem.train
     assert problem.start is not None

@@ -16,17 +16,15 @@ from hsed_jax.behaviour.histories import Range, range_of
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
 from hsed_jax.criticism.prediction import HISTORY, Prediction
-from hsed_jax.diagnosis.batch import Apart, Batch, BatchApart, Part
+from hsed_jax.diagnosis.batch import Batch, Part
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.diagnosis.problem import FormColumns, Problem
 from hsed_jax.errors import UserError
-from hsed_jax.inference.leaning import opened as without_bounds
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.observation import Histories, conditions_of, stacked
 from hsed_jax.inference.priors import Prior
-from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.effects.forms import default_form
@@ -116,26 +114,17 @@ def problem_of(
     campaign: Campaign,
     effects: Sequence[str] | None = None,
     cube: np.ndarray | None = None,
-    watch: Watch | None = None,
-    known: Mapping[str, float] | None = None,
     forms: Mapping[str, str] | None = None,
-    apart: Apart | None = None,
-    opened: Iterable[str] = (),
     samples: int | None = None,
 ) -> Problem:
-    """The large model and the measurements.
+    """The large model and the measurements.  It does not need a calibration (`Problem.calibrated`).
 
     Arguments:
         built: the study.
         campaign: its experiments.
         effects: candidates; by default all applicable effects.
         cube: inputs of candidate experiments in the unit cube, (c, d); by default points that fill the cube.
-        watch: follows the fits.
-        known: parameters of the first model (without candidates) from a calibration, by name, SI.
         forms: by effect, the label of its only allowed form; by default all forms of an effect are allowed.
-        apart: differences of the specimens from their population, training experiments first; they are constant.
-        opened: parameters of the model whose estimates are on a bound of their prior that is not a physical limit.  The bound
-            is removed here, so that no effect is named because of it.
         samples: number of samples to which longer records of component tests are thinned, if the setting of the study is larger.
     """
     if samples is not None and samples < built.study.measurements.samples:
@@ -168,12 +157,8 @@ def problem_of(
     used = np.concatenate([weights > 0, np.zeros((size - len(weights), weights.shape[1]), dtype=bool)])
     kept = _kept(large, (*train, *test))
     batch = Batch(large.simulation.simulator, large.inference.observation, order, conditions, parts, used, kept)
-    predictions = batch if apart is None else BatchApart(batch, apart.across(order, size))
     # A prior may exceed the physical limits of a parameter: values beyond them belong to another effect.
-    priors = free | {name: without_bounds(free[name]) for name in opened}
-    box = Box(priors, limits={name: (known.lower, known.upper) for name, known in declared.items()})
-    models = NestedModels(predictions, box, neutral, watch)
-    start = None if known is None else models.point({name: known[name] for name in free if name in known})
+    box = Box(free, limits={name: (known.lower, known.upper) for name, known in declared.items()})
     of_effects = {k for k, name in enumerate(order) if owner_of(name) in catalogue}
     size = len(train)
     measured = [
@@ -182,7 +167,7 @@ def problem_of(
         if part
     ]
     return Problem(
-        models=models,
+        models=NestedModels(batch, box, neutral),
         names=order,
         units=large.mechanics.units,
         catalogue=catalogue,
@@ -195,7 +180,6 @@ def problem_of(
         outputs=large.observed.outputs,
         candidates=inputs,
         seed=built.study.seed,
-        start=start,
         notes=(
             *built.mechanics.naming.left_out(),
             *built.experiments.thinning_notes(campaign.train),
@@ -203,7 +187,6 @@ def problem_of(
         ),
         pair=large.mechanics.pair,
         held_out=test,
-        opened=tuple(opened),
         simulator=large.simulation.simulator if isinstance(large.simulation.simulator, Simulator) else None,
         visited=_visited(large, train, campaign),
     )

@@ -60,9 +60,9 @@ class NestedModels:
         self.neutral = box.x(neutral)
         self._asked = 0
 
-    def within(self, box: Box, batch: Predictions | None = None) -> "NestedModels":
+    def within(self, box: Box, batch: Predictions | None = None, watch: Watch | None = None) -> "NestedModels":
         """The same models with other priors, and with another batch if the parameters have another meaning."""
-        return NestedModels(self.batch if batch is None else batch, box, self._neutral)
+        return NestedModels(self.batch if batch is None else batch, box, self._neutral, watch)
 
     def of_experiments(self, rows: Int[np.ndarray, " r"]) -> "NestedModels":
         """The same models for some of the experiments, which are then numbered by their positions in `rows`."""

@@ -7,8 +7,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hsed_jax.behaviour.histories import Range
+from hsed_jax.diagnosis.batch import Apart, BatchApart
+from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
+from hsed_jax.inference.leaning import opened as without_bounds
+from hsed_jax.inference.watch import Watch
 from hsed_jax.measurements import Experiment
 from hsed_jax.physics.effects import Catalogue
 from hsed_jax.physics.effects.base import Form
@@ -114,6 +118,30 @@ class Problem(NamedTuple):
     def rows(self) -> int:
         """The number of measured experiments."""
         return len(self.train.values) + (0 if self.test is None else len(self.test.values))
+
+    def calibrated(
+        self,
+        known: Mapping[str, float],
+        apart: Apart | None = None,
+        opened: Sequence[str] = (),
+        watch: Watch | None = None,
+    ) -> "Problem":
+        """The same problem after a calibration of the first model (without candidates).
+
+        Arguments:
+            known: its parameters, by name, SI.
+            apart: differences of the specimens from their population, training experiments first; they are constant.
+            opened: parameters whose estimates are on a bound of their prior that is not a physical limit.  The bound is removed
+                here, so that no effect is named because of it.
+            watch: follows the fits.
+        """
+        priors, batch = self.models.box.priors, self.models.batch
+        box = Box(priors | {name: without_bounds(priors[name]) for name in opened}, limits=self.models.box.limits)
+        if apart is not None:
+            batch = BatchApart(batch, apart.across(self.names, self.rows + len(self.candidates)))
+        models = self.models.within(box, batch, watch)
+        start = models.point({name: value for name, value in known.items() if name in self.names})
+        return self._replace(models=models, start=start, opened=tuple(opened))
 
     def of_few(self, most: int) -> "Problem | None":
         """The problem with `most` training experiments, evenly chosen; None if it has no more, or if an output is no history."""

@@ -50,7 +50,7 @@ def calibration(campaign):
 @pytest.fixture(scope="module")
 def diagnosis(calibration, campaign):
     effects = ["viscous_damping", "hardening"]
-    return diagnose(problem_of(calibration.built, campaign, effects, known=calibration.map))
+    return diagnose(problem_of(calibration.built, campaign, effects).calibrated(calibration.map))
 
 
 @pytest.fixture(scope="module")

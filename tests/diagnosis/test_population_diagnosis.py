@@ -42,7 +42,7 @@ def judged(having):
     calibration = calibrate_built(built, campaign)
 
     def problem_with(some):
-        return problem_of(built, some, FEW, known=calibration.map, apart=calibration.apart(some))
+        return problem_of(built, some, FEW).calibrated(calibration.map, calibration.apart(some))
 
     problem = problem_with(campaign)
     found = diagnose(problem)

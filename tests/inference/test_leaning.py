@@ -180,9 +180,9 @@ def test_no_effect_is_named_to_get_round_a_bound(campaign, calibration):
     leaning = [one.parameter for one in calibration.fit.leaning]
     assert leaning == ["beta"]
     effects = ["hardening", "support_flexibility"]
-    within = diagnose(problem_of(built, campaign, effects, known=calibration.map))
+    within = diagnose(problem_of(built, campaign, effects).calibrated(calibration.map))
     assert within.effects  # what gets round it
-    open_ = diagnose(problem_of(built, campaign, effects, known=calibration.map, opened=leaning))
+    open_ = diagnose(problem_of(built, campaign, effects).calibrated(calibration.map, opened=leaning))
     assert (open_.verdict, open_.effects) == ("unexplained", [])
     assert open_.opened["beta"] == pytest.approx(5.0, rel=0.1)
     assert open_.sentence.startswith("the priors exclude this specimen") and "widen" in open_.sentence
