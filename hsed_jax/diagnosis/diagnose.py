@@ -317,8 +317,12 @@ def _gains(search: Search, models: Sequence[Model]) -> dict[Set, dict[str, float
 def _reason(search: Search, model: Model, best: Model) -> str | None:
     """The reason why a model with a likely effect is not named."""
     if not model.effects > best.effects:
-        nats = math.log(max(best.probability, 1e-300) / max(model.probability, 1e-300))
-        return f"the odds of {' + '.join(sorted(best.effects - model.effects))} in its place are {odds(nats)}"
+        instead = " + ".join(sorted(best.effects - model.effects))
+        if best.probability < model.probability:
+            # The test experiments have chosen the best set.
+            return f"the model predicts the experiments that were not fitted better with {instead} in its place"
+        nats = math.log(best.probability / max(model.probability, 1e-300))
+        return f"the odds of {instead} in its place are {odds(nats)}"
     return search.obstacle(model.effects, best.effects) or "the search ended before it"
 
 

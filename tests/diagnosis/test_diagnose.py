@@ -39,7 +39,7 @@ import hsed_jax as hx
 from hsed_jax.behaviour.names import RIGHT
 from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.candidates import problem_of
-from hsed_jax.diagnosis.diagnose import diagnose
+from hsed_jax.diagnosis.diagnose import _reason, diagnose
 from hsed_jax.diagnosis.findings import PriorWidth
 from hsed_jax.diagnosis.measured import Measured
 from hsed_jax.diagnosis.nested import NestedModels
@@ -407,6 +407,15 @@ def test_what_is_not_named_has_its_reason():
     assert strong.obstacle(named, none) is None
     strong.pointed_at, strong._is_explained = (lambda chosen: frozenset()), (lambda fit: True)
     assert "no score test is sure" in strong.obstacle(named, none)
+
+
+def test_a_likely_effect_in_place_of_a_named_one_has_the_reason_of_the_choice():
+    # The odds choose, or the test experiments do, against the odds.
+    search = found_in(data_of(0, effect_3=0.5))
+    model, other = search.model({"effect_3"}), search.model({"effect_5"})
+    assert _reason(search, other, model._replace(probability=0.8)).startswith("the odds of effect_3 in its place are")
+    chosen = _reason(search, other._replace(probability=0.99), model._replace(probability=0.01))
+    assert chosen == "the model predicts the experiments that were not fitted better with effect_3 in its place"
 
 
 def test_an_effect_that_raises_the_error_of_what_nothing_is_fitted_to_is_not_named():
