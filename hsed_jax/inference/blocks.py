@@ -43,7 +43,7 @@ def follow(
     if (kept := watch.recall(name)) is not None:
         spent, reached = float(kept[0]), tree_like(reached, kept[1:])
     began, halt = time.perf_counter() - spent, Event()
-    planned = [len(chain_state.kept[0]) for chain_state in reached]
+    planned = [int(chain_state.planned) for chain_state in reached]
 
     def is_unfinished(which: int) -> bool:
         return int(reached[which].done) < planned[which]

@@ -143,8 +143,9 @@ def _chains(
     # Chains in lockstep wait for the longest trajectory among them; two at a time, on a thread each, wait for less.  Always two,
     # so that the draws do not depend on the machine.
     together = 2 - settings.chains % 2
+    target = jnp.asarray(settings.target_acceptance)
     chain_states = follow(
-        lambda chain_state, most: advance(posterior, data, maximum, settings, emulator, chain_state, jnp.asarray(most)),
+        lambda chain_state, most: advance(posterior, data, maximum, target, emulator, chain_state, jnp.asarray(most)),
         [begin(maximum, step_size, keys[i : i + together], settings) for i in range(0, settings.chains, together)],
         watch,
         name,

@@ -3,7 +3,7 @@
 The posterior of a calibration is nearly Gaussian.  Whitened by the Gauss–Newton curvature at its mode it is nearly standard
 normal, so no mass matrix is adapted. Only the step size is adapted, from that of the previous step.
 
-One program serves blocks of any length.  Between blocks the chains can be watched and stopped.
+One program serves chains and blocks of any length.  Between blocks the chains can be watched and stopped.
 """
 
 from typing import Any, NamedTuple
@@ -25,6 +25,11 @@ from hsed_jax.programs import program
 
 # Number of parameters that a warning names.
 _NAMED = 3
+# Chains count their iterations so that the last one of the adaptation has this number: its number is then known to the program,
+# and the length of the adaptation need not be.
+_ADAPTED = 1_000_000
+# A program has room for so many iterations, or for this times a power of two.
+_ROOM = 1024
 
 
 class Settings(NamedTuple):
@@ -70,18 +75,18 @@ class ChainState(NamedTuple):
     Attributes:
         state: numpyro's, of each chain.
         kept: whitened draws, potential, divergence and leapfrog steps of every iteration, adaptation first; zero for later
-            iterations, (warmup + draws, chains, …).
-        done: iterations that were made.
+            iterations, (room, chains, …).
+        done, planned: iterations that were made, and that are to be made.
         work: their leapfrog steps; chains wait for the longest trajectory among them.
     """
 
     state: HMCState
     kept: tuple[Array, ...]
     done: Int[Array, ""]
+    planned: Int[Array, ""]
     work: Int[Array, ""]
 
 
-@program
 def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chains"], settings: Settings) -> ChainState:
     """Chains before their first iteration.
 
@@ -91,19 +96,32 @@ def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chai
         keys: of the random numbers, one for each chain.
         settings: sizes.
     """
+    room = _ROOM
+    while room < settings.warmup + settings.draws:
+        room *= 2
+    return _begun(maximum, step_size, keys, *jnp.asarray([settings.warmup, settings.draws], int), room)
 
+
+@program
+def _begun(
+    maximum: Maximum,
+    step_size: Float[Array, ""],
+    keys: Key[Array, " chains"],
+    warmup: Int[Array, ""],
+    draws: Int[Array, ""],
+    room: int,
+) -> ChainState:
     def first(key):
         scattered, key = jax.random.split(key)
         w = jax.random.normal(scattered, (maximum.start.size,))
         start, _ = hmc(potential_fn=jnp.sum, algo="NUTS")
         # The first iteration computes potential and gradient, with the program that all iterations use.
-        return _started(start, ParamInfo(w, jnp.zeros(()), jnp.zeros_like(w)), settings, step_size, key)
+        state = _started(start, ParamInfo(w, jnp.zeros(()), jnp.zeros_like(w)), step_size, key)
+        return state._replace(i=_ADAPTED - warmup)
 
     state = jax.vmap(first)(keys)
-    kept = jax.tree.map(
-        lambda values: jnp.zeros((settings.warmup + settings.draws, *values.shape), values.dtype), _worth_keeping(state)
-    )
-    return ChainState(state, kept, jnp.zeros((), int), jnp.zeros((), int))
+    kept = jax.tree.map(lambda values: jnp.zeros((room, *values.shape), values.dtype), _worth_keeping(state))
+    return ChainState(state, kept, jnp.zeros((), int), warmup + draws, jnp.zeros((), int))
 
 
 @program
@@ -111,7 +129,7 @@ def advance(
     posterior: Posterior,
     data: Data,
     maximum: Maximum,
-    settings: Settings,
+    target: Float[Array, ""],
     emulator: Emulator | None,
     chain_state: ChainState,
     most: Int[Array, ""],
@@ -122,7 +140,7 @@ def advance(
         posterior: of the study.
         data: measured outputs.
         maximum: the mode and the whitening.
-        settings: sizes.
+        target: acceptance of the steps that the adaptation aims at.
         emulator: replaces the simulator; None for the simulator itself.
         chain_state: the chains.
         most: number of leapfrog steps after which no iteration begins.
@@ -145,19 +163,20 @@ def advance(
     start, draw = hmc(potential_fn_gen=potential_of, algo="NUTS")
     # numpyro's kernel takes its settings from its initial state, which is not that of a chain here.
     nowhere = ParamInfo(place, jnp.zeros(()), place)
-    _started(start, nowhere, settings, jnp.ones(()), jax.random.key(0), data)
+    _started(start, nowhere, jnp.ones(()), jax.random.key(0), data, target=target)
     move = jax.vmap(lambda state: draw(state, (data,)))
-    before, planned = chain_state.work, settings.warmup + settings.draws
+    before = chain_state.work
 
     def one(chain_state):
         state = move(chain_state.state)
         kept = jax.tree.map(lambda all, new: all.at[chain_state.done].set(new), chain_state.kept, _worth_keeping(state))
-        return ChainState(state, kept, chain_state.done + 1, chain_state.work + jnp.max(state.num_steps))
+        work = chain_state.work + jnp.max(state.num_steps)
+        return chain_state._replace(state=state, kept=kept, done=chain_state.done + 1, work=work)
 
     # Adaptation and draws in one loop: two loops would take twice as long to trace and compile.
     state = jax.lax.cond(chain_state.done == 0, entered, lambda state: state, chain_state.state)
     return jax.lax.while_loop(
-        lambda chain_state: (chain_state.done < planned) & (chain_state.work - before < most),
+        lambda chain_state: (chain_state.done < chain_state.planned) & (chain_state.work - before < most),
         one,
         chain_state._replace(state=state),
     )
@@ -167,13 +186,16 @@ def _worth_keeping(state: HMCState) -> tuple[Array, ...]:
     return state.z, state.potential_energy, state.diverging, state.num_steps
 
 
-def _started(start, at: ParamInfo, settings: Settings, step_size: Float[Array, ""], key, *data: Data) -> HMCState:
+def _started(
+    start, at: ParamInfo, step_size: Float[Array, ""], key, *data: Data, target: Float[Array, ""] | float = 0.8
+) -> HMCState:
+    """The initial state, which does not depend on the target of the adaptation."""
     state = start(
         at,
-        settings.warmup,
+        _ADAPTED,
         step_size=step_size,
         adapt_mass_matrix=False,
-        target_accept_prob=settings.target_acceptance,
+        target_accept_prob=target,
         max_tree_depth=7,
         model_args=data,
         rng_key=key,
@@ -181,7 +203,7 @@ def _started(start, at: ParamInfo, settings: Settings, step_size: Float[Array, "
     # numpyro forgets the step size where it would have learnt a mass matrix, shortly before the adaptation ends.  Here none is
     # learnt: the adaptation is one window, its last.
     adapted = state.adapt_state
-    last = jnp.full_like(adapted.window_idx, len(build_adaptation_schedule(settings.warmup)) - 1)
+    last = jnp.full_like(adapted.window_idx, len(build_adaptation_schedule(_ADAPTED)) - 1)
     return state._replace(adapt_state=adapted._replace(window_idx=last))
 
 
@@ -192,7 +214,8 @@ def arrived(
     """The draws of chains without adaptation: θ, log density in u, divergence and leapfrog steps of every draw; its u;
     and the step sizes. Draws that are not made yet have no meaning.
     """
-    w, potential, diverging, steps = (jnp.swapaxes(x[settings.warmup :], 0, 1) for x in chain_state.kept)
+    drawn = slice(settings.warmup, settings.warmup + settings.draws)
+    w, potential, diverging, steps = (jnp.swapaxes(x[drawn], 0, 1) for x in chain_state.kept)
     u = maximum.start + w @ maximum.whitening.T
     theta = jax.vmap(jax.vmap(posterior.constrain))(u)
     return (theta, -potential, diverging, steps), u, chain_state.state.adapt_state.step_size
