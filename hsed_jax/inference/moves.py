@@ -31,7 +31,7 @@ from hsed_jax.inference.emulator import Emulator
 from hsed_jax.inference.likelihood import Data
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.watch import Watch
-from hsed_jax.physics.batch import TILE
+from hsed_jax.physics.batch import tiled_map
 from hsed_jax.programs import program
 
 # γ is this over √(2p), the best value for a Gaussian of p dimensions.  Half of the steps take a share of it with a uniform
@@ -155,19 +155,21 @@ def wandered(
         key: of the random numbers.
     """
 
-    def log_densities(u):
-        return jax.lax.map(lambda x: emulator.log_density(posterior, x, data), u, batch_size=TILE)
+    log_densities = jax.vmap(lambda x: emulator.log_density(posterior, x, data))
 
     def step(number, state):
-        u, log_density = state
+        u, log_density, start = state
+        # Before the first step, the loop computes the log density at the starts: a program with it twice compiles twice as long.
+        begins = number < 0
         of_step, of_choice = jax.random.split(jax.random.fold_in(key, number))
-        tried = _stepped(u, standing, of_step)
-        there = log_densities(tried)
-        taken = jnp.log(jax.random.uniform(of_choice, (len(u),))) < there - log_density
-        return jnp.where(taken[:, None], tried, u), jnp.where(taken, there, log_density)
+        tried = jnp.where(begins, u, _stepped(u, standing, of_step))
+        there = tiled_map(log_densities, tried)
+        taken = begins | (jnp.log(jax.random.uniform(of_choice, (len(u),))) < there - log_density)
+        kept = jnp.where(taken, there, log_density)
+        return jnp.where(taken[:, None], tried, u), kept, jnp.where(begins, there, start)
 
-    start = log_densities(going)
-    end, log_density = jax.lax.fori_loop(0, _BY_EMULATOR, step, (going, start))
+    unknown = jnp.zeros(len(going))
+    end, log_density, start = jax.lax.fori_loop(-1, _BY_EMULATOR, step, (going, unknown, unknown))
     return end, log_density - start
 
 
