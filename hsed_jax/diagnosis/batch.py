@@ -138,7 +138,7 @@ class Apart(NamedTuple):
 class BatchApart(NamedTuple):
     """A batch in which each experiment has its own parameters, relative to the requested ones."""
 
-    batch: "Batch"
+    batch: "Predictions"
     apart: Apart
 
     def __call__(

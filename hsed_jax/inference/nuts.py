@@ -99,7 +99,8 @@ def begin(maximum: Maximum, step_size: Float[Array, ""], keys: Key[Array, " chai
     room = _ROOM
     while room < settings.warmup + settings.draws:
         room *= 2
-    return _begun(maximum, step_size, keys, *jnp.asarray([settings.warmup, settings.draws], int), room)
+    warmup, draws = jnp.asarray(settings.warmup, int), jnp.asarray(settings.draws, int)
+    return _begun(maximum, step_size, keys, warmup, draws, room)
 
 
 @program

@@ -10,17 +10,18 @@ from builders.posteriors import EXACT, drawn, find, measured_at, posterior_of
 
 from hsed_jax.inference import blocks, moves
 from hsed_jax.inference import maximum as search
+from hsed_jax.inference.chains import _chains
 from hsed_jax.inference.emulator import emulate
 from hsed_jax.inference.fit import Fit
 from hsed_jax.inference.importance import Weighted, resampled, weighted
 from hsed_jax.inference.independent import weigh_around
 from hsed_jax.inference.moves import moved
-from hsed_jax.inference.nuts import Chains, Settings, convergence
+from hsed_jax.inference.nuts import Chains, Settings, advance, convergence
 from hsed_jax.inference.priors import Prior
 from hsed_jax.inference.sampling import _mixed, draw
 from hsed_jax.inference.watch import Watch
 
-# A size of chains is a program of its own, and one of NUTS takes seconds to compile: what may be of one size is.
+# A number of chains is a program of its own, and one of NUTS takes seconds to compile.
 LONG, SHORT = Settings(4, 100, 4000), Settings(2, 100, 500)
 
 # Two parameters whose posterior is a bent ridge: y1 = a, y2 = b + a², so that (a, b + a²) is normal.
@@ -209,6 +210,24 @@ def test_chains_stopped_and_taken_up_again_have_the_draws_of_chains_left_alone(m
     assert len(watch.counts) == heard
     other = data._replace(values=data.values + 1)
     assert not np.array_equal(drawn(posterior, other, maximum, LONG, watch=watch).theta, whole.theta)
+
+
+def test_chains_of_any_length_share_a_program_and_begin_alike():
+    posterior, data, maximum = ridge(0.3)
+    keys, step_size = jax.random.split(jax.random.key(0), 2), jnp.asarray(0.5)
+
+    def chains(settings):
+        return _chains(posterior, data, maximum, None, step_size, keys, settings, Watch(), None)[0]
+
+    longer = chains(Settings(2, 40, 60))
+    programs = len(advance._made)
+    shorter, adapted = chains(Settings(2, 40, 30)), chains(Settings(2, 60, 60))
+    assert len(advance._made) == programs
+    for found, expected in zip(shorter[:4], longer[:4], strict=True):
+        np.testing.assert_array_equal(found, expected[:, :30])
+    # The step size is adapted for as many iterations as are asked for.
+    np.testing.assert_array_equal(shorter.step_size, longer.step_size)
+    assert not np.array_equal(adapted.step_size, longer.step_size)
 
 
 @pytest.mark.whole
