@@ -40,8 +40,6 @@ _LIKELY = 0.2
 _COUNTS = 0.01
 # Least difference between two optima of the first model (without candidates) that is reported [nats].
 _APART = 2.0
-
-
 _MISSED = (
     "the calibration did not end at the best fit of the model as it is, which is taken here; calibration.starts says from how "
     "many points it looks for it"
@@ -318,8 +316,7 @@ def _reason(search: Search, model: Model, best: Model) -> str | None:
     """The reason why a model with a likely effect is not named."""
     if not model.effects > best.effects:
         instead = " + ".join(sorted(best.effects - model.effects))
-        if best.probability < model.probability:
-            # The test experiments have chosen the best set.
+        if best.probability < model.probability:  # the test experiments have chosen the best set
             return f"the model predicts the experiments that were not fitted better with {instead} in its place"
         nats = math.log(best.probability / max(model.probability, 1e-300))
         return f"the odds of {instead} in its place are {odds(nats)}"
