@@ -247,7 +247,7 @@ def improve(
     if start is not None:
         # With the errors that the first model leaves, none of the others would follow the data as closely as it can.
         found_there, ok = models.predict(
-            [(_point(problem, start), with_first(len(effects)))], np.arange(len(train.values))
+            [(problem.point(start), with_first(len(effects)))], np.arange(len(train.values))
         )
         target = train.standard(found_there[0], train.used[None]).target if ok.all() else target
     steps, fit = [step_of([], before, calibration.map)], plain
@@ -291,18 +291,13 @@ def _best(
     models, columns = problem.models, np.asarray(new, dtype=int)
     tasks = [Task(submodel, x)]
     if known is not None:
-        tasks.append(Task(submodel, _point(problem, known)))
+        tasks.append(Task(submodel, problem.point(known)))
     if columns.size:
         starts = np.tile(x, (8, 1))
         shares = 0.1 + 0.8 * (np.arange(8)[:, None] * (0.5 + np.sqrt(np.arange(columns.size) + 2.0)) % 1.0)
         starts[:, columns] = models.box.quantiles(columns, shares)
         tasks += [Task(submodel, spread, rivals=0) for spread in starts]
     return min(models.fit(target, tasks), key=lambda f: f.cost)
-
-
-def _point(problem: Problem, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
-    """The point of known parameters, by name; what the problem does not have is left out."""
-    return problem.models.point({name: value for name, value in known.items() if name in problem.names})
 
 
 def _parameters(problem: Problem, fit: FitState, built: Built) -> Array:

@@ -140,8 +140,12 @@ class Problem(NamedTuple):
         if apart is not None:
             batch = BatchApart(batch, apart.across(self.names, self.rows + len(self.candidates)))
         models = self.models.within(box, batch, watch)
-        start = models.point({name: value for name, value in known.items() if name in self.names})
-        return self._replace(models=models, start=start, opened=tuple(opened))
+        found = self._replace(models=models, opened=tuple(opened))
+        return found._replace(start=found.point(known))
+
+    def point(self, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:
+        """The point x of known parameters, by name, SI; names that the problem does not have are left out."""
+        return self.models.point({name: value for name, value in known.items() if name in self.names})
 
     def of_few(self, most: int) -> "Problem | None":
         """The problem with `most` training experiments, evenly chosen; None if it has no more, or if an output is no history."""

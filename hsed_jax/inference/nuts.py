@@ -25,8 +25,8 @@ from hsed_jax.programs import program
 
 # Number of parameters that a warning names.
 _NAMED = 3
-# Chains count their iterations so that the last one of the adaptation has this number: its number is then known to the program,
-# and the length of the adaptation need not be.
+# The adaptation of every chain ends before the iteration with this number, and the first iteration is numbered accordingly: the
+# program then does not depend on the length of the adaptation.
 _ADAPTED = 1_000_000
 # A program has room for so many iterations, or for this times a power of two.
 _ROOM = 1024
