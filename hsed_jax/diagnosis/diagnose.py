@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hsed_jax.behaviour.findings import Behaviours
-from hsed_jax.behaviour.names import RIGHT
+from hsed_jax.behaviour.names import RIGHT, right_share
 from hsed_jax.criticism.compare import discrepancy_p_value, is_noise
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.averaging import averaged
@@ -234,19 +234,19 @@ def stated_probabilities(
     The weight $p_M$ of a model compares the formulas of the catalogue only.  The part of the misfit that a model does not explain
     may be due to anything, and a specimen whose formula is not in the catalogue may be described by a wrong one:
 
-    $$P = r \sum_M p_M\,\Big(1 - \frac{E_M^2 - s^2}{E_0^2 - s^2}\Big)$$
+    $$P = \sum_M r_M\,p_M\,\Big(1 - \frac{E_M^2 - s^2}{E_0^2 - s^2}\Big)$$
 
-    with the errors E of held-out data, of the first model $E_0$, the noise floor s, and the share of right names r (`RIGHT`).  A
-    model whose residual the noise explains leaves nothing.
+    with the errors E of held-out data, of the first model $E_0$, the noise floor s, and the share $r_M$ of right names of models
+    with such an error (`right_share`).  A model whose residual the noise explains leaves nothing.
     """
     counted = [m for m in models if m.probability > 0]
     before, *errors = search.unseen([frozenset(), *(m.effects for m in counted)])
     stated: dict[Set, float] = {}
     for model, error in zip(counted, errors, strict=True):
-        name, share = called.get(model.effects, model.effects), 1.0
+        name, share, noise = called.get(model.effects, model.effects), RIGHT, problem.train.noise
         if not noise_explains(problem, model.fit):
-            share = explained_share(problem.train.noise, before, error)
-        stated[name] = stated.get(name, 0.0) + RIGHT * share * model.probability
+            share = right_share(noise, error) * explained_share(noise, before, error)
+        stated[name] = stated.get(name, 0.0) + share * model.probability
     return stated
 
 

@@ -36,7 +36,7 @@ from builders.springs import BETA, NOISE, A, C, spring_campaign, spring_study
 from scipy import stats
 
 import hsed_jax as hx
-from hsed_jax.behaviour.names import RIGHT
+from hsed_jax.behaviour.names import FAR, RIGHT, RIGHT_FAR, right_share
 from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import _reason, diagnose
@@ -1086,13 +1086,20 @@ def test_a_verdict_that_other_priors_turn_to_another_explanation_is_ambiguous(mo
     assert f"it leads to {found.called(other)}" in " ".join(found.summary()["notes"])
 
 
+def test_a_name_is_less_probable_where_the_error_stays_far_above_the_noise():
+    assert right_share(0.01, 0.029) == RIGHT and right_share(0.01, 0.031) == RIGHT_FAR
+    # Without a noise it is unknown how far an error is above it.
+    assert right_share(0.0, 0.2) == RIGHT
+
+
 @pytest.mark.whole
 def test_what_an_effect_leaves_beside_the_noise_is_not_its_own():
     found = diagnosed(C, effects=["coulomb_friction"])
     (first,) = found.ranking
     share = explained_share(found.noise_floor, found.error[1], first.error_test)
     assert found.effects == ["coulomb_friction"] and 0.2 < share < 0.95
-    assert first.probability == pytest.approx(RIGHT * share, rel=0.01)
+    right = RIGHT_FAR if first.error_test > FAR * found.noise_floor else RIGHT
+    assert first.probability == pytest.approx(right * share, rel=0.01)
     assert found.explanations[0].weight == pytest.approx(first.probability)
 
 
