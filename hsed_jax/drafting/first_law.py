@@ -30,9 +30,13 @@ _BLOCK = 256
 # Parts of the way from one sample to the next, over which a differential equation is integrated.
 _PARTS = 4
 # Knots of the elastic force beside a law, which is linear between them; a force of the rate has half as many.
-_KNOTS = 11
-# Another law replaces the simplest one if its squared residual is at most this share of that of the simplest one.
-_LEFT = 0.3
+_KNOTS = 21
+# Another law replaces the simplest one if its squared residual is at most this share of that of the simplest one, and if its
+# residual is at most this share of the force: what leaves more has pinching or damage, by which all effects extend the simplest
+# law only.
+_LEFT, _SMALL = 0.5, 0.05
+# Parallel forces that differ by less than this share are one.
+_RANK = 1e-8
 # Step of a derivative, relative to the initial estimate.
 _STEP = 1e-5
 
@@ -57,13 +61,12 @@ def _steel(x: Sequence[Any], k: Any, F: Any) -> dict[str, Any]:
     return {"k": x[0] * k, "F_y": x[1] * F, "b": x[2], "R0": x[3], "cR1": x[4]}
 
 
+# A law of a larger stiffness than the first loading shows is friction.
 _LAWS = {
-    "simplest": _Law("bouc_wen", (0.06, 0.06), (1.0, 1.0), (16, 16), lambda x, k, F: _bouc_wen((*x, 1.0, 0.0), k, F)),
+    "simplest": _Law("bouc_wen", (0.25, 0.06), (1.0, 1.0), (4, 16), lambda x, k, F: _bouc_wen((*x, 1.0, 0.0), k, F)),
     # As effects of the catalogue change it: `yield_sharpness` changes n, `loop_shape` changes γ.
-    "shaped": _Law("bouc_wen", (0.06, 0.06, 0.5, -0.9), (1.0, 1.0, 1.0, 0.0), (16, 16, 8, 5), _bouc_wen),
-    "steel": _Law(
-        "menegotto_pinto", (0.06, 0.06, 0.0, 1.0, 0.0), (1.0, 0.8, 0.02, 10.0, 0.8), (16, 16, 0.5, 25, 0.97), _steel
-    ),
+    "shaped": _Law("bouc_wen", (0.25, 0.06, 0.5, -0.9), (1.0, 1.0, 1.0, 0.0), (4, 16, 8, 5), _bouc_wen),
+    "steel": _Law("menegotto_pinto", (0.25, 0.06, 0.0, 1.0, 0.0), (1.0, 0.8, 0.02, 10.0, 0.8), (4, 16, 0.5, 25, 0.97), _steel),
 }
 
 
@@ -82,10 +85,10 @@ class Residuals(NamedTuple):
 
     @property
     def is_steel(self) -> bool:
-        """Whether the residual of the law of Menegotto and Pinto is much smaller than that of the simplest law, and
+        """Whether the residual of the law of Menegotto and Pinto is small, much smaller than that of the simplest law, and
         smaller than that of the shaped one.
         """
-        return self.steel < min(math.sqrt(_LEFT) * self.simplest, self.shaped)
+        return self.steel < min(_SMALL, math.sqrt(_LEFT) * self.simplest, self.shaped)
 
 
 class _Paths(NamedTuple):
@@ -157,7 +160,10 @@ def _hats(x: np.ndarray, low: float, count: int) -> Float[np.ndarray, "... count
 def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> float:
     """RMS residual of a fitted law with the best parallel forces, over the RMS of the force."""
     law, used = _LAWS[name], paths.is_measured
-    beside, force = paths.beside[used], paths.force[used]
+    force = paths.force[used]
+    # Orthonormal columns, so that a projection is the best sum of the parallel forces.
+    beside, sizes, _ = np.linalg.svd(paths.beside[used], full_matrices=False)
+    beside = beside[:, sizes > _RANK * sizes[0]]
 
     def left(points: Float[np.ndarray, "batch p"]) -> Float[np.ndarray, "n batch"]:
         given = law.parameters(list(points.T), stiffness, strength)
@@ -165,7 +171,7 @@ def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> fl
         found = np.asarray(_forces(law.name, parameters, paths.elongation))[:, used].T / strength
         # A diverged simulation counts as a large residual.
         rest = force[:, None] - np.where(np.abs(found) < 1e3, found, 1e3)
-        return rest - beside @ np.linalg.lstsq(beside, rest, rcond=1e-8)[0]
+        return rest - beside @ (beside.T @ rest)
 
     def moved(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A point, and points a little off it, away from the upper bound."""

@@ -44,6 +44,8 @@ def beside(kind: str, time: np.ndarray, u: np.ndarray) -> np.ndarray:
     """A force in parallel."""
     if kind == "contact":
         return 2 * K * np.sign(u) * np.maximum(np.abs(u) - 18e-3, 0)
+    if kind == "stop":
+        return 5 * K * np.maximum(u - 16.3e-3, 0)
     if kind == "friction":
         return 2e4 * np.sign(np.diff(u, prepend=0.0))
     if kind == "dashpot":
@@ -60,7 +62,7 @@ def campaign(force: np.ndarray) -> Campaign:
     return Campaign("made", "displacement", channels=channels, experiments=(Experiment("one", record=record),))
 
 
-@pytest.mark.parametrize("kind", ["nothing", "contact", "friction", "dashpot"])
+@pytest.mark.parametrize("kind", ["nothing", "contact", "stop", "friction", "dashpot"])
 def test_steel_is_found_whatever_stands_beside_it(kind):
     time, elongation = path()
     found = residuals(campaign(steel(elongation) + beside(kind, time, elongation)), 2 * K, 1.3 * F_Y)
@@ -78,6 +80,16 @@ def test_the_law_of_bouc_and_wen_stays_where_it_is_the_specimens(kind, n, share)
     assert found.shaped < 3 * NOISE
     if (n, share) == (1.0, 0.0):
         assert found.simplest < 3 * NOISE
+
+
+def test_friction_that_sticks_first_is_no_steel():
+    _, elongation = path()
+    sliding, force = 0.0, [0.0]
+    for a, b in pairwise(elongation):
+        sliding = float(np.clip(sliding + 30 * K * (b - a), -2e4, 2e4))
+        force.append(sliding)
+    found = residuals(campaign(0.15 * K * elongation + np.asarray(force)), 0.3 * K, 6e4)
+    assert found is not None and not found.is_steel
 
 
 def test_without_histories_nothing_is_fitted():
