@@ -5,7 +5,7 @@ in words what the specimen does, and `right` which names say so; none where the 
 counts as right if it is one of these names or several, and no other; where there is none, if nothing is named.
 
 The specimens of `CASES` were used during development, all under two sine cycles of each amplitude.  Those of `UNSEEN` have other
-materials and mostly other loadings.  What they do was written down before the first run, and nothing was changed for them.
+materials and mostly other loadings.  What they do was written down before the first run; `README.md` says what was changed since.
 
     python benchmarks/opensees_files.py FOLDER              # runs the cases in FOLDER; those that the results have are kept
     python benchmarks/opensees_files.py FOLDER plain brace  # those whose name contains one of these
