@@ -34,7 +34,7 @@ _KNOTS = 21
 # Another law replaces the simplest one if its squared residual is at most this share of that of the simplest one, and if its
 # residual is at most this share of the force: what leaves more has pinching or damage, by which all effects extend the simplest
 # law only.
-_LEFT, _SMALL = 0.5, 0.05
+_LEFT, _SMALL = 0.6, 0.05
 # Parallel forces that differ by less than this share are one.
 _RANK = 1e-8
 # Step of a derivative, relative to the initial estimate.
@@ -66,7 +66,9 @@ _LAWS = {
     "simplest": _Law("bouc_wen", (0.25, 0.06), (1.0, 1.0), (4, 16), lambda x, k, F: _bouc_wen((*x, 1.0, 0.0), k, F)),
     # As effects of the catalogue change it: `yield_sharpness` changes n, `loop_shape` changes γ.
     "shaped": _Law("bouc_wen", (0.25, 0.06, 0.5, -0.9), (1.0, 1.0, 1.0, 0.0), (4, 16, 8, 5), _bouc_wen),
-    "steel": _Law("menegotto_pinto", (0.25, 0.06, 0.0, 1.0, 0.0), (1.0, 0.8, 0.02, 10.0, 0.8), (4, 16, 0.5, 25, 0.97), _steel),
+    "steel": _Law(
+        "menegotto_pinto", (0.25, 0.06, 0.0, 1.0, 0.0), (1.0, 0.8, 0.02, 10.0, 0.8), (4, 16, 0.5, 25, 0.97), _steel
+    ),
 }
 
 

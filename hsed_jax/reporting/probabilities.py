@@ -3,8 +3,8 @@
 from hsed_jax.behaviour.names import FAR, RIGHT, RIGHT_FAR
 
 EXPLAINED = (
-    f"The probability of an effect is at most {RIGHT:g}, and at most {RIGHT_FAR:g} if the error stays above {FAR:g} times the noise: "
-    "of the names with the largest probability, so many are right on specimens whose formula is not in the catalogue."
+    f"The probability of an effect is at most {RIGHT:g}, and at most {RIGHT_FAR:g} if the error stays above {FAR:g} times the "
+    "noise: of the names with the largest probability, so many are right on specimens whose formula is not in the catalogue."
 )
 
 
