@@ -84,6 +84,7 @@ def test_threads_share_one_heap_once_work_has_started_unless_the_environment_say
     assert int(ran(work, MALLOC_ARENA_MAX="4")) > 1
 
 
+@pytest.mark.whole
 def test_importing_changes_nothing():
     # The imports of numpy, numpyro and so on come first: what they change is theirs.
     theirs = "import numpy, scipy.stats, jax, equinox, diffrax, numpyro, tinygp, arviz, xarray, pandas, distributed\n"
@@ -92,6 +93,7 @@ def test_importing_changes_nothing():
     assert ran(f"{theirs}before = state()\n{ALL}{changed}") == "[]"
 
 
+@pytest.mark.whole
 def test_building_a_study_prepares_the_process():
     printed = ran(BUILD + """
 now = state()
@@ -105,6 +107,7 @@ print([name for name in ("JAX_ENABLE_X64", "OPENBLAS_NUM_THREADS") if name in no
     assert (second, third) == (str(known), "[]")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("environment", "code", "expected"),
     [

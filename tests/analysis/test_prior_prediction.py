@@ -25,6 +25,7 @@ def weak():
     return reached(WEAK)
 
 
+@pytest.mark.whole
 def test_data_of_the_model_itself_are_within_its_priors():
     built, campaign, found, converged = reached()
     assert converged == DRAWS

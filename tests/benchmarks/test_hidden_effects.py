@@ -236,6 +236,7 @@ def test_noise_with_a_memory_has_the_declared_variance():
     assert_allclose(starts.std(axis=1), 1, atol=0.03)
 
 
+@pytest.mark.whole
 def test_a_campaign_with_coarse_records_and_noise_that_remembers_declares_neither(tmp_path):
     fine, coarse = (Case("component", (), 0.0, 0.05, 3, 1, 0, memory=0.7, every=every) for every in (1, 8))
     for case, name in ((fine, "fine"), (coarse, "coarse")):

@@ -347,6 +347,7 @@ def test_a_missing_quantity_counts_for_nothing_and_the_others_still_count():
     assert float(data.values[0, 1]) == 3.0
 
 
+@pytest.mark.whole
 def test_a_model_that_diverges_at_a_tested_point_has_no_discrepancy_there(toy):
     def respond(theta, conditions):
         x = conditions.inputs

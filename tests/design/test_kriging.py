@@ -206,6 +206,7 @@ def test_padded_rows_have_no_influence(filler):
     np.testing.assert_allclose(plain.log_posterior, padded.log_posterior, rtol=1e-12)
 
 
+@pytest.mark.whole
 def test_padded_fit_equals_the_unpadded_one():
     x, y = training_set(15)
     plain, padded, noisy = fitted(x, y, planned=15), fitted(x, y), fitted(x, y, filler=np.nan)
@@ -229,6 +230,7 @@ def test_one_program_serves_every_number_of_experiments():
     np.testing.assert_allclose(values[1], fitted(x[:10], y[:10]).log_posterior, rtol=1e-10)
 
 
+@pytest.mark.whole
 def test_warm_start_is_one_more_start_and_keys_are_reproducible():
     x, y = training_set(43)
     best = fitted(x, y)

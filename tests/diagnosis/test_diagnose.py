@@ -83,6 +83,7 @@ def test_noise_alone_names_nothing():
     assert sum(map(bool, named)) <= 2, named
 
 
+@pytest.mark.whole
 def test_the_effect_that_is_there_is_named():
     # The residual's standard deviation grows by the half of an amplitude of 0.5.
     for number in range(K):
@@ -140,6 +141,7 @@ class Impatient(Dictionary):
         return super().__call__(thetas, experiments)
 
 
+@pytest.mark.whole
 def test_a_search_that_was_interrupted_and_goes_on_makes_no_fit_twice(tmp_path, monkeypatch):
     fits: dict[str, list] = {"_descended": [], "_again": []}
 
@@ -1112,6 +1114,7 @@ def test_an_ambiguous_diagnosis_says_how_far_its_explanations_differ(damped):
     assert found.summary()["averaged"]["differ"].keys() == {"y"} and "averaged" not in damped.summary()
 
 
+@pytest.mark.whole
 def test_what_the_catalogue_cannot_mend_is_unexplained():
     found = diagnosed(C, effects=["asymmetry"])
     assert found.verdict == "unexplained" and found.effects == []

@@ -42,6 +42,7 @@ def told(model: dict, known: dict[str, float], effects: set[str], model_error: f
     return probe.behaviours(plain, named, Sampled(0.0, 1.0, theta[None], np.ones(1)), model_error)
 
 
+@pytest.mark.whole
 def test_what_a_law_does_without_any_effect_is_no_change():
     found = told({"parameters": STEEL}, {}, set())
     # The slope at zero force differs along the test, because the corners become round.
@@ -61,6 +62,7 @@ def test_an_effect_that_the_study_has_is_told_as_one_that_a_diagnosis_names():
     assert named.sentence == declared.sentence
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("lost", [2.86e-5, 2.9e-5, 3.0e-5])
 def test_a_specimen_that_is_alike_to_both_sides_changes_on_both(lost):
     # A tenth is lost in tension.  In compression, which is read after it, the change is by 0.01 to 0.02 of that smaller.
@@ -70,6 +72,7 @@ def test_a_specimen_that_is_alike_to_both_sides_changes_on_both(lost):
     assert (strength.change, strength.sides) == ("falls", "both")
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("model_error", [0.01, 0.5])
 @pytest.mark.parametrize(("effect", "quantity"), [("hardening", "elastic_force"), ("coulomb_friction", "strength")])
 def test_a_force_is_told_unless_the_error_of_the_model_hides_it(effect, quantity, model_error):

@@ -150,6 +150,7 @@ def check_headline_after_an_improvement(run) -> None:
     assert verdict(improved).startswith("Of the improved model, another one leans. With slip")
 
 
+@pytest.mark.whole
 def test_summary_and_headline_begin_with_it(campaign, tmp_path):
     write_campaign(campaign, tmp_path / "data")
     study = content(beta={"uniform": [50.0, 200.0]}) | {"experiments": {"campaign": str(tmp_path / "data")}}

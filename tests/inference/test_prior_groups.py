@@ -31,6 +31,7 @@ def groups():
     return PriorGroups(PRIORS, [prior.scaling for prior in PRIORS])
 
 
+@pytest.mark.whole
 def test_every_prior_has_the_numbers_that_it_has_alone(groups):
     theta = groups.supported(U)
     alone = [(prior, float(u), prior.to_support(u)) for prior, u in zip(PRIORS, U, strict=True)]

@@ -212,6 +212,7 @@ def test_chains_stopped_and_taken_up_again_have_the_draws_of_chains_left_alone(m
     assert not np.array_equal(drawn(posterior, other, maximum, LONG, watch=watch).theta, whole.theta)
 
 
+@pytest.mark.whole
 def test_chains_of_any_length_share_a_program_and_begin_alike():
     posterior, data, maximum = ridge(0.3)
     keys, step_size = jax.random.split(jax.random.key(0), 2), jnp.asarray(0.5)
@@ -266,6 +267,7 @@ def test_weights_that_cannot_be_relied_on_leave_it_to_nuts():
     assert chains.sampler == "importance" and "Pareto shape" in str(chains.doubt)
 
 
+@pytest.mark.whole
 def test_a_few_draws_are_left_to_nuts():
     posterior, data, maximum = ridge(0.2)
     chains = drawn(posterior, data, maximum, Settings(1, 5, 3, sampler="auto"))

@@ -310,6 +310,7 @@ CYCLES = {
 }
 
 
+@pytest.mark.whole
 def test_a_function_is_told_the_cycles_of_a_designed_test_and_calibrated_by_it(folder):
     study = study_of(folder, **CYCLES)
     built = Built(study)

@@ -521,6 +521,7 @@ def test_an_effect_outside_the_spring_changes_what_it_says(experiment, name):
         assert quantities
 
 
+@pytest.mark.whole
 def test_the_order_of_effects_outside_the_spring_does_not_matter(experiment):
     _, respond = experiment
     values = {key: value for name in SETUP for key, value in some(name).items()}
@@ -731,6 +732,7 @@ def test_a_traced_simulator_with_the_whole_catalogue_gives_the_same(experiment, 
     assert np.abs(both(program(other, values, conditions))["force"] - found["force"]).max() > 1e3
 
 
+@pytest.mark.whole
 def test_responses_have_the_derivatives_of_central_differences(paper_simulator, pulse_conditions):
     names = (*SETUP, "relaxation", "hardening", "cubic_stiffness", "viscous_damping", "isotropic_hardening")
     values = {key: float(value) for name in names for key, value in some(name).items()}

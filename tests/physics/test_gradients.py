@@ -56,6 +56,7 @@ def test_forward_jacobian_equals_central_differences(quantities):
     assert error.max() < 5e-9  # of the largest derivative of the quantity; measured 8e-10
 
 
+@pytest.mark.whole
 def test_neutral_effect_has_a_derivative_from_either_side(quantities):
     # A score test needs ∂/∂δ at δ = 0, where the effect is switched off.
     value, jacobian = quantities
@@ -133,6 +134,7 @@ def test_a_traced_exponent_gives_the_law_of_a_constant_one(n):
         np.testing.assert_allclose(traced, constant, rtol=1e-13, atol=1e-6)
 
 
+@pytest.mark.whole
 def test_derivatives_of_a_whole_response_are_finite_for_each_exponent(quantities):
     _, jacobian = quantities
     # β, γ in N^(1−n)/m: about the same ultimate force for each n

@@ -266,6 +266,7 @@ def test_a_mistake_gets_one_message(override, message):
         _ = built.design.limits
 
 
+@pytest.mark.whole
 def test_a_component_test_has_no_acceleration_of_a_mass(tmp_path):
     time = np.linspace(0, 1, 50)
     record = Record(time, {"elongation": 0.01 * np.sin(6 * time), "force": 1e3 * np.sin(6 * time)})

@@ -26,6 +26,7 @@ def contributions(effect, values, is_shaped):
     return jax.jit(at)(values)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", SHAPED)
 def test_an_effect_in_its_simplest_shape_contributes_what_the_whole_one_does(name):
     effect = EFFECTS[name]

@@ -226,6 +226,7 @@ def test_symbols_come_from_where_the_parameter_is_declared():
     assert style.symbol("amplitude_scale") == "amplitude scale"
 
 
+@pytest.mark.whole
 def test_saving_writes_both_files_the_same_each_time(tmp_path):
     for case in ("motions, many", "order, three inputs"):
         first = [path.read_bytes() for path in figures.save(CASES[case](), tmp_path / "new" / "folder", "figure")]

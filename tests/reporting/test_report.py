@@ -41,6 +41,7 @@ def page_file(tmp_path_factory):
 # The page itself.
 
 
+@pytest.mark.whole
 def test_the_check_of_an_exported_script_is_on_the_page(folder):
     assert 'id="export-check"' not in report_page(read_run(folder))
     (folder / "export").mkdir()
@@ -69,6 +70,7 @@ def test_the_figures_on_the_page_are_those_of_the_summary(folder):
     assert SENTENCE[1:] in missing and said not in missing
 
 
+@pytest.mark.whole
 def test_an_improvement_without_a_diagnosis_has_its_headline_and_what_is_ambiguous_stays_so(tmp_path):
     page = page_of(tmp_path, lambda found: found.pop("diagnosis"))
     assert "goes from 0.350 to 0.055" in page[: page.index("Key figures")]
@@ -107,6 +109,7 @@ def test_the_error_of_each_output_is_shown_where_the_error_over_all_hides_it(tmp
     assert row.format("elongation", "0.500", "0.100", 6) in page and row.format("force", "0.400", "0.390", 94) in page
 
 
+@pytest.mark.whole
 def test_after_an_improvement_it_is_said_where_the_improved_model_fails(tmp_path):
     places = [{"sentence": "90 % of the squared error is after 3 s"}]
     page = page_of(tmp_path, lambda found: found["improvement"]["comparison"].update(where=places))
@@ -423,6 +426,7 @@ def opened(browser, page_file):
         page.close()
 
 
+@pytest.mark.whole
 def test_somebodys_run_folder_runs_nothing_and_asks_nobody(opened, tmp_path):
     folder = hostile(write(tmp_path / "run"))
     assert main(["report", str(folder)]) == 0

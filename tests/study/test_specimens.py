@@ -185,6 +185,7 @@ def test_parameters_are_shared_unless_a_specimen_has_its_own():
         assert np.abs(shared[name] - other[name]).max() > 0.01 * np.abs(shared[name]).max()
 
 
+@pytest.mark.whole
 def test_effects_and_sensors_are_of_one_specimen():
     law = {"A": 5e6, "beta": 50.0, "gamma": 0.0, "n": 1.0}
     names = ("storey1.force", "storey2.force")
@@ -298,6 +299,7 @@ def test_a_mistake_gets_one_message(tmp_path, change, message):
         Built(study(tmp_path, *changes)).check()
 
 
+@pytest.mark.whole
 def test_the_ready_frame_has_a_takeda_storey():
     ready = hx.load_study(ROOT / "configs" / "two_storeys.yaml")
     truth = {"storey1.k": 6e6, "storey1.F_y": 6e4, "A": 4e6, "beta": 50.0, "structure.mass_2": 1.5e4}

@@ -176,6 +176,7 @@ def test_a_drift_ratio_that_no_structure_has_is_doubted(height, doubted):
         assert found[0].kind == "unit" and found[0].spans and f"height of {height:g} m" in found[0].message
 
 
+@pytest.mark.whole
 def test_init_writes_the_height_by_which_check_judges(tmp_path, capsys):
     write_campaign(campaign(record()), tmp_path)
     assert main(["init", str(tmp_path), "--height", "0.02"]) == 0
