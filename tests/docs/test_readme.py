@@ -101,7 +101,7 @@ def test_the_share_of_right_names_far_above_the_noise_is_that_of_the_opensees_sp
         for effect in row["effects"]
     ]
     far, near = ([right for is_far, right in names if is_far == side] for side in (True, False))
-    assert (sum(far), len(far)) == (17, 34) and 17 / 34 == RIGHT_FAR
+    assert (sum(far), len(far)) == (17, 34) and RIGHT_FAR == 17 / 34
     assert (sum(near), len(near)) == (14, 16)
     # The cases of the other share are all near.
     errors = [row["error"] for row in kept("hidden_effects_unseen.json") if "error" in row]
