@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from laws_in_steps import MenegottoPinto
 
-from hsed_jax.drafting.first_law import residuals
+from hsed_jax.drafting.first_law import Residuals, residuals
 from hsed_jax.measurements import Campaign, Channel, Experiment, Record
 
 K, F_Y, TURNS = 1e7, 8e4, np.repeat([5, 10, 15, 20, 25, 30], 2) * 1e-3
@@ -80,6 +80,14 @@ def test_the_law_of_bouc_and_wen_stays_where_it_is_the_specimens(kind, n, share)
     assert found.shaped < 3 * NOISE
     if (n, share) == (1.0, 0.0):
         assert found.simplest < 3 * NOISE
+
+
+def test_steel_is_chosen_where_it_leaves_little_and_much_less_than_the_others():
+    assert Residuals(simplest=0.08, shaped=0.07, steel=0.04).is_steel
+    assert not Residuals(simplest=0.08, shaped=0.03, steel=0.04).is_steel
+    # As little as noise is left by any law of a linear specimen; pinching leaves much beside each.
+    assert not Residuals(simplest=0.05, shaped=0.05, steel=0.045).is_steel
+    assert not Residuals(simplest=0.2, shaped=0.19, steel=0.09).is_steel
 
 
 def test_friction_that_sticks_first_is_no_steel():
