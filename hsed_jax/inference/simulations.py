@@ -21,16 +21,18 @@ from hsed_jax.inference.predict import Predictor
 from hsed_jax.physics.batch import NARROW, TILE
 from hsed_jax.programs import program
 
-# Number of simulations of a call of the program, and the limit of its output numbers; a call always writes all of them.
-_LANES, _NUMBERS = 2 * TILE, 2**18
+# Number of simulations of a call of the program, or of points if there are many experiments: a call of a few points takes longer
+# in Python than in its simulations.  The limit is that of the output numbers, all of which a call writes.
+_LANES, _POINTS, _NUMBERS = 2 * TILE, 32, 2**18
 # h: outputs of an external program have about six correct digits.  The truncation error is about a millionth.
 _DIFFERENCE = 1e-3
 
 
 def points_of_a_call(data: Data) -> int:
     """Number of points that are simulated together."""
-    lanes = min(_LANES, max(_NUMBERS // data.values.shape[1], NARROW))
-    return max(1, lanes // len(_distinct(data)[0]))
+    experiments = len(_distinct(data)[0])
+    lanes = min(max(_LANES, _POINTS * experiments), max(_NUMBERS // data.values.shape[1], NARROW))
+    return max(1, lanes // experiments)
 
 
 def _distinct(data: Data) -> tuple[Int[np.ndarray, " r"], Int[np.ndarray, " n"]]:

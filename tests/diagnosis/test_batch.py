@@ -239,3 +239,14 @@ def test_nothing_is_simulated_after_the_end_of_a_record(monkeypatch):
     taken = [int(built.inference.observation.grid.divisions(e.record).sum()) for e in built.experiments.campaign]
     assert sorted({int(stop) for stops in asked for stop in stops}) == sorted(taken)
     assert max(taken) < built.simulation.simulator.timeline.steps
+
+
+def test_a_call_has_many_points_unless_their_outputs_are_many():
+    """Python takes longer for a call of two points than the simulations of them."""
+    _, data = three_windows()
+
+    def points(experiments: int, outputs: int) -> int:
+        return points_of_a_call(data._replace(values=np.zeros((experiments, outputs)), first=np.arange(experiments)))
+
+    assert points(1, 3) == 128 and points(64, 3) == 32
+    assert points(64, 1024) == 4 and points(64, 2**18) == 1
