@@ -32,8 +32,8 @@ _PARTS = 4
 # Knots of the elastic force beside a law, which is linear between them; a force of the rate has half as many.
 _KNOTS = 21
 # Another law replaces the simplest one if its squared residual is at most this share of that of the simplest one, and if its
-# residual is at most this share of the force: what leaves more has pinching or damage, by which all effects extend the simplest
-# law only.
+# residual is at most this share of the force.  A larger residual is pinching or damage, and more of their effects extend the
+# simplest law.
 _LEFT, _SMALL = 0.6, 0.05
 # Parallel forces that differ by less than this share are one.
 _RANK = 1e-8
@@ -61,7 +61,7 @@ def _steel(x: Sequence[Any], k: Any, F: Any) -> dict[str, Any]:
     return {"k": x[0] * k, "F_y": x[1] * F, "b": x[2], "R0": x[3], "cR1": x[4]}
 
 
-# A law of a larger stiffness than the first loading shows is friction.
+# The bounds of the stiffness exclude friction that sticks first: it resembles a law that is much stiffer than the first loading.
 _LAWS = {
     "simplest": _Law("bouc_wen", (0.25, 0.06), (1.0, 1.0), (4, 16), lambda x, k, F: _bouc_wen((*x, 1.0, 0.0), k, F)),
     # As effects of the catalogue change it: `yield_sharpness` changes n, `loop_shape` changes γ.
@@ -99,7 +99,7 @@ class _Paths(NamedTuple):
     Attributes:
         elongation: [m], (records, samples).
         force: over the guessed strength, (records, samples).
-        beside: forces of size one that may stand beside a law, (records, samples, terms).
+        beside: orthonormal forces whose sums may stand beside a law, (measured samples, terms): a projection is the best sum.
         is_measured: where there is a sample, (records, samples).
     """
 
@@ -143,7 +143,8 @@ def _paths(campaign: Campaign, strength: float) -> _Paths | None:
     elongation, force, rate = np.stack(filled, axis=1)
     is_measured = np.arange(length) < np.asarray([[r.shape[1]] for r in records])
     way = np.diff(elongation, prepend=0.0)
-    return _Paths(elongation, force / strength, _beside(elongation, np.sign(way), rate), is_measured)
+    beside, sizes, _ = np.linalg.svd(_beside(elongation, np.sign(way), rate)[is_measured], full_matrices=False)
+    return _Paths(elongation, force / strength, beside[:, sizes > _RANK * sizes[0]], is_measured)
 
 
 def _beside(elongation: np.ndarray, way: np.ndarray, rate: np.ndarray) -> Float[np.ndarray, "records samples terms"]:
@@ -162,10 +163,7 @@ def _hats(x: np.ndarray, low: float, count: int) -> Float[np.ndarray, "... count
 def _residual(name: str, paths: _Paths, stiffness: float, strength: float) -> float:
     """RMS residual of a fitted law with the best parallel forces, over the RMS of the force."""
     law, used = _LAWS[name], paths.is_measured
-    force = paths.force[used]
-    # Orthonormal columns, so that a projection is the best sum of the parallel forces.
-    beside, sizes, _ = np.linalg.svd(paths.beside[used], full_matrices=False)
-    beside = beside[:, sizes > _RANK * sizes[0]]
+    beside, force = paths.beside, paths.force[used]
 
     def left(points: Float[np.ndarray, "batch p"]) -> Float[np.ndarray, "n batch"]:
         given = law.parameters(list(points.T), stiffness, strength)

@@ -21,8 +21,8 @@ from hsed_jax.inference.predict import Predictor
 from hsed_jax.physics.batch import NARROW, TILE
 from hsed_jax.programs import program
 
-# Number of simulations of a call of the program, or of points if there are many experiments: a call of a few points takes longer
-# in Python than in its simulations.  The limit is that of the output numbers, all of which a call writes.
+# A call of the program has so many simulations, or so many points if there are many experiments: with fewer points, Python takes
+# longer than the simulations.  The last number limits the output numbers: a call always writes all of them.
 _LANES, _POINTS, _NUMBERS = 2 * TILE, 32, 2**18
 # h: outputs of an external program have about six correct digits.  The truncation error is about a millionth.
 _DIFFERENCE = 1e-3

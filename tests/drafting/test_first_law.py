@@ -85,7 +85,7 @@ def test_the_law_of_bouc_and_wen_stays_where_it_is_the_specimens(kind, n, share)
 def test_steel_is_chosen_where_it_leaves_little_and_much_less_than_the_others():
     assert Residuals(simplest=0.08, shaped=0.07, steel=0.04).is_steel
     assert not Residuals(simplest=0.08, shaped=0.03, steel=0.04).is_steel
-    # As little as noise is left by any law of a linear specimen; pinching leaves much beside each.
+    # Every law of a linear specimen leaves the noise alone.  Every law of a pinched specimen leaves much.
     assert not Residuals(simplest=0.05, shaped=0.05, steel=0.045).is_steel
     assert not Residuals(simplest=0.2, shaped=0.19, steel=0.09).is_steel
 
