@@ -247,8 +247,9 @@ class Batch:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The same for simulations that differ from one another, each up to its stop."""
         self.simulations += len(thetas)
-        # The tiles are distributed over the cores.
-        size = min(max(-(-len(thetas) // (cores() * _TILE)), 1) * _TILE, _CHUNK)
+        # The tiles are distributed over the cores: each has as many chunks as every other one.
+        count = cores() * max(-(-len(thetas) // (cores() * _CHUNK)), 1)
+        size = -(-len(thetas) // (count * _TILE)) * _TILE
         chunks = [
             (served, places[start : start + size])
             for served, places in self._served(thetas, stops)
@@ -257,15 +258,15 @@ class Batch:
 
         def run(chunk: tuple[Served, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
             (outputs, present, columns), places = chunk
-            padding = ((0, _CHUNK - len(places)),)
+            filled = places[np.minimum(np.arange(_CHUNK), len(places) - 1)]
             found, ok = _outputs(
                 outputs,
                 self._conditions,
                 present,
-                np.pad(thetas[places][:, columns], (*padding, (0, 0)), mode="edge"),
-                np.pad(experiments[places], padding, mode="edge"),
+                thetas[filled][:, columns],
+                experiments[filled],
                 np.asarray(len(places)),
-                None if stops is None else np.pad(stops[places], padding, mode="edge"),
+                None if stops is None else stops[filled],
             )
             return np.asarray(found)[: len(places), self._kept], np.asarray(ok)[: len(places)]
 

@@ -1,12 +1,8 @@
 """The measured experiments of a search over models: the residuals of predictions, and the errors that they are compared with."""
 
-# JAX gives its devices no type, so the functions that make arrays have none.
-# pyright: reportUnknownMemberType=false
-
 import math
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -74,7 +70,7 @@ class Measured(NamedTuple):
         """c from values (r, J), such as predictions of experiments that are not made; `used` marks the values that count."""
         relative = np.asarray([error.is_relative for error in self.errors])
         members = (self.groups[:, None] == np.arange(len(self.errors))).astype(float)
-        size = np.asarray(magnitudes(jnp.asarray(predicted), jnp.asarray(used, float), members))
+        size = magnitudes(predicted, used.astype(float), members)
         return np.where(np.logical_and(relative[self.groups], size > 0), size, 1.0)
 
     def residual(self, predicted: np.ndarray) -> Float[np.ndarray, "n J"]:

@@ -106,22 +106,29 @@ class NestedModels:
         """
         # The name has the position in the search and the integers of the tasks, but not the starts: these differ in the last bit
         # between programs of one model, and a resumed search does not compile the same programs as the interrupted one.
+        if not tasks:
+            return []
         self._asked += 1
         whole = [[t.submodel.free, t.use, t.rivals] for t in tasks]
         name = f"fits-{fingerprint(self._asked, self._neutral, target.values, whole)}"
         if (kept := self._watch.recall(name)) is not None:
             return self._again(target, tasks, kept)
         fits = self._descended(target, tasks)
-        self._watch.keep(name, [np.asarray(x) for f in fits for x in (f.x, f.cost, f.gradient, f.hessian)])
+        # Few arrays: a file of hundreds takes as long to write as a batch of simulations.
+        points, costs, sizes = zip(*((f.x, f.cost, len(f.gradient)) for f in fits), strict=True)
+        slopes = [np.concatenate(part) for part in zip(*((f.gradient, f.hessian.ravel()) for f in fits), strict=True)]
+        self._watch.keep(name, [np.stack(points), np.asarray(costs), np.asarray(sizes), *slopes])
         return fits
 
     def _again(self, target: Target, tasks: Sequence[Task], kept: Sequence[np.ndarray]) -> list[FitState]:
         """Fits from their stored results; only their predictions are simulated again, which is cheap compared with a fit."""
-        fits = [FitState(task.submodel, x, task.use) for task, x in zip(tasks, kept[::4], strict=True)]
-        _, tables = self._costs(target, [(f, f.x) for f in fits])
-        for number, (one, predicted) in enumerate(zip(fits, tables, strict=True)):
-            _, cost, one.gradient, one.hessian = kept[4 * number : 4 * number + 4]
+        points, costs, sizes, gradients, hessians = kept
+        fits = [FitState(task.submodel, x, task.use) for task, x in zip(tasks, points, strict=True)]
+        tables = self._costs(target, [(f, f.x) for f in fits])[1]
+        own = zip(np.split(gradients, np.cumsum(sizes)[:-1]), np.split(hessians, np.cumsum(sizes**2)[:-1]), strict=True)
+        for one, cost, (gradient, hessian), predicted in zip(fits, costs, own, tables, strict=True):
             one.cost, one.predicted = float(cost), predicted
+            one.gradient, one.hessian = gradient, hessian.reshape(len(gradient), len(gradient))
         return fits
 
     def _descended(self, target: Target, tasks: Sequence[Task]) -> list[FitState]:

@@ -6,8 +6,7 @@ behaviour of the specimens in engineering quantities."""
 # pyright: reportUnknownArgumentType=false
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -43,7 +42,8 @@ Drawn = Sequence[dict[str, float]]
 """Parameters of a model, by name, SI: the fit or draws of its posterior."""
 
 
-class Probe(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Probe:
     """Numerical experiments on the models of a problem.
 
     Attributes:
@@ -55,6 +55,7 @@ class Probe(NamedTuple):
     problem: Problem
     simulator: Simulator
     visited: Range
+    _traits: dict[tuple[str, Set, bytes], dict[str, Trait]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def is_component_test(self) -> bool:
@@ -260,10 +261,13 @@ class Probe(NamedTuple):
         return found
 
     def _traits_in(self, model: Model, element: Element) -> dict[str, Trait]:
-        """The main behaviour of each effect of a model in a specimen."""
-        own = [effect for effect in self._effects(model, element) if effect in model.effects]
-        found = self._contributions(model, element, [self.fitted(model)], own)
-        return {effect: main for effect, (own, *_) in found.items() if (main := trait(own)) is not None}
+        """The main behaviour of each effect of a model in a specimen; simulated once for each fit."""
+        fit = element.name, model.effects, self.problem.models.theta(model.fit.x, model.fit.submodel).tobytes()
+        if fit not in self._traits:
+            own = [effect for effect in self._effects(model, element) if effect in model.effects]
+            found = self._contributions(model, element, [self.fitted(model)], own)
+            self._traits[fit] = {e: main for e, (own, *_) in found.items() if (main := trait(own)) is not None}
+        return self._traits[fit]
 
     def _contributions(
         self, model: Model, element: Element, draws: Drawn, own: Sequence[str]

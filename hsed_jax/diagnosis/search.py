@@ -97,7 +97,7 @@ class Search:
         self.missed = 0.0
         self.on_round: Callable[[], None] = lambda: None
         self._tried: set[Set] = set()
-        self._pairs: list[Set] = []
+        self._pairs, self._near = list[Set](), dict[Set, list[Set]]()
         self._pointed: dict[Set, tuple[FitState, Target, Set]] = {}
 
     def run(self) -> None:
@@ -283,7 +283,7 @@ class Search:
             return
         self._report(f"pairs in place of {_text(self.best)}")
         others = {e: forms for e, forms in self.effects.items() if e not in self.best}
-        singles = [self.model({e}) for e in others if frozenset({e}) in self._fits]
+        singles = (self.model({e}) for e in others if frozenset({e}) in self._fits)
         leading = sorted(singles, key=lambda m: -m.log_posterior)[:_OTHERS]
         chosen = [(self._fits.top(m.effects), m.fit) for m in leading]
         starts = pairs(self.models, self.standard.target, chosen, others, _BESIDE)
@@ -353,12 +353,13 @@ class Search:
         return next((s for s in sets if len(s) <= len(self.best) or self._unsupported(s, self.best) is None), self.best)
 
     def _neighbours(self) -> list[Set]:
-        """The sets one change away from the best one."""
-        best, others = self.best, [e for e in self.effects if e not in self.best]
-        fewer = less_one(best)
-        exchanged = [rest | {new} for rest in fewer for new in others]
-        more = [best | {new} for new in others] if self._may_grow() else []
-        return [best, *fewer, *exchanged, *more]
+        """The sets one change away from the best one; whether a further effect is tried is decided once."""
+        best = self.best
+        if best not in self._near:
+            others, bases = [e for e in self.effects if e not in best], less_one(best)
+            grown = [base | {new} for base in [*bases, *([best] if self._may_grow() else [])] for new in others]
+            self._near[best] = [best, *bases, *grown]
+        return self._near[best]
 
     def _may_grow(self) -> bool:
         """Whether a further effect can be material, if it leaves only the noise."""
@@ -376,8 +377,7 @@ class Search:
 
     def _around(self) -> list[Set]:
         """The fitted sets around the best one, and the set of each single candidate that none of them contains."""
-        near = dict.fromkeys([frozenset(), *self.path, *self._neighbours(), *self._pairs])
-        sets = [s for s in near if s in self._fits]
+        sets = [s for s in dict.fromkeys([Set(), *self.path, *self._neighbours(), *self._pairs]) if s in self._fits]
         alone = [frozenset({e}) for e in self.effects if not any(e in s for s in sets)]
         return [*sets, *(s for s in alone if s in self._fits)]
 

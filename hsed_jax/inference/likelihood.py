@@ -158,21 +158,20 @@ def data_of(conditions: PyTree, measured: np.ndarray, used: np.ndarray, gaps: np
     return Data(conditions, *jax.device_put(known))
 
 
-def magnitudes(
-    values: Float[Array, "n J"], used: Float[Array, "n J"], members: Float[np.ndarray, "J G"]
-) -> Float[Array, "n J"]:
-    """The reference of a relative error: the size of a quantity, or the RMS of the used samples of a history.
+def magnitudes(values: Any, used: Any, members: Float[np.ndarray, "J G"]) -> Any:
+    """The reference of a relative error, (n, J): the size of a quantity, or the RMS of the used samples of a history.
 
     Arguments:
-        values: predicted or measured outputs.
-        used: 1 where they count, else 0.
+        values: predicted or measured outputs, (n, J), an array of NumPy or of JAX.
+        used: 1 where they count, else 0, (n, J).
         members: 1 where a column belongs to an output.
     """
+    xp = values.__array_namespace__()
     if members.shape[0] == members.shape[1]:
-        return jnp.abs(values)
-    squares = (used * values**2) @ members / jnp.maximum(used @ members, 1.0)
+        return xp.abs(values)
+    squares = (used * values**2) @ members / xp.maximum(used @ members, 1.0)
     positive = squares > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, squares, 1.0)), 0.0) @ members.T
+    return xp.where(positive, xp.sqrt(xp.where(positive, squares, 1.0)), 0.0) @ members.T
 
 
 def sigma_of(

@@ -37,6 +37,9 @@ from hsed_jax.study.advice import forecast
 from hsed_jax.study.build import Built
 from hsed_jax.study.specimens import effects_of
 
+_REPORTING = ("altair", "hsed_jax.reporting.report", "hsed_jax.runs.figures", "dask.array", "distributed")
+"""Modules that a run needs at its end, the last two for the results.  They take seconds to load."""
+
 
 class Waiting(Interrupted):
     """The run waits for an experiment that is performed by hand."""
@@ -140,8 +143,7 @@ class Run:
     def __call__(self) -> dict[str, Any]:
         """Run the steps; returns the content of `summary.json`."""
         if self.figures:
-            # The charts of the report take seconds to load, and simulations leave Python idle.
-            Thread(target=import_module, args=("altair",), daemon=True).start()
+            Thread(target=_load_reporting, daemon=True).start()
         try:
             with answered_by(self._stopped):
                 for step in self.study.steps:
@@ -371,3 +373,9 @@ class Run:
         if diagnosis is None:
             return self.study.improve.add or [], {}
         return self.study.improve.add or diagnosis.effects, {"forms": diagnosis.forms, "start": diagnosis.optimum}
+
+
+def _load_reporting() -> None:
+    """Load what a run needs at its end, while its simulations leave Python idle."""
+    for module in _REPORTING:
+        import_module(module)
