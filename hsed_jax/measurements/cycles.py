@@ -166,19 +166,18 @@ def returned(cycles: Cycles, elongation: np.ndarray, force: np.ndarray) -> list[
     parts = [slice(a, b) for a, b in zip(cycles.begin, cycles.end, strict=True)]
     ranges = np.asarray([np.ptp(force[part]) for part in parts])
     least = _RETURNED * np.where(cycles.is_whole, swing, 0.0) * ranges
-    chance = _SURPRISE * np.asarray([_energy_of_noise(elongation, force, part) for part in parts])
+    samples = np.arange(len(force), dtype=float)
+    noise = [float(np.nan_to_num(noise_estimate(samples, channel))) for channel in (elongation, force)]
+    chance = _SURPRISE * np.asarray([_energy_of_noise(elongation[part], force[part], *noise) for part in parts])
     is_negative = cycles.is_whole & (cycles.energy < -np.maximum(least, chance))
     # The last cycle may end before it has absorbed energy.
     return [int(i) + 1 for i in np.flatnonzero(is_negative[:-1])]
 
 
-def _energy_of_noise(elongation: np.ndarray, force: np.ndarray, part: slice) -> float:
+def _energy_of_noise(elongation: np.ndarray, force: np.ndarray, of_elongation: float, of_force: float) -> float:
     """Standard deviation of the energy of a cycle from the noise of both channels: of each on the steps of the other."""
-    u, f = elongation[part], force[part]
-    samples = np.arange(len(force), dtype=float)
-    of_u, of_f = (np.nan_to_num(noise_estimate(samples, channel)) for channel in (elongation, force))
-    steps_u, steps_f = (np.sum(np.gradient(channel) ** 2) if len(channel) > 1 else 0.0 for channel in (u, f))
-    return float(np.sqrt(of_f**2 * steps_u + of_u**2 * steps_f))
+    ways = [np.sum(np.gradient(channel) ** 2) if len(channel) > 1 else 0.0 for channel in (elongation, force)]
+    return float(np.sqrt(of_force**2 * ways[0] + of_elongation**2 * ways[1]))
 
 
 def _peaks(elongation: np.ndarray, found: Sequence[Span]) -> np.ndarray:

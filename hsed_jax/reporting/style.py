@@ -9,11 +9,8 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import wraps
 from pathlib import Path
 
-import matplotlib
-import matplotlib.style
 import numpy as np
 import numpy.typing as npt
 from matplotlib.artist import Artist
@@ -23,13 +20,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 from hsed_jax.criticism.prediction import Prediction
-from hsed_jax.drafts import create
 from hsed_jax.physics.effects import EFFECTS
 from hsed_jax.physics.laws import LAWS
 from hsed_jax.physics.names import OWNER, own_name, owner_of
 from hsed_jax.physics.pairs import ELONGATION_AND_FORCE, Pair
 from hsed_jax.physics.parameters import parameters_of
 from hsed_jax.physics.structures import parameter_of
+from hsed_jax.reporting.saving import in_house_style, write
 
 WIDTH = 7.0
 """Width of every figure [inch]: a page of text."""
@@ -39,40 +36,6 @@ COLOUR_MAP = "viridis"
 
 MEASURED = {"color": BLACK, "linestyle": (0, (4, 1.6)), "linewidth": 1.1, "label": "measured (HS)", "zorder": 3}
 PREDICTED = {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "label": "predicted (CS)", "zorder": 2}
-
-_RC = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib, so that a figure looks the same everywhere
-    "font.size": 9,
-    "axes.labelsize": 9,
-    "axes.titlesize": 9,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.formatter.limits": (-3, 4),
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    # The place that matplotlib finds in each drawing: no panel has ticks above it.
-    "axes.titley": 1.0,
-    "grid.color": "#e4e4e4",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-    "lines.markersize": 3.5,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "svg.fonttype": "none",  # text stays text: searchable, and read aloud by screen readers
-    "svg.hashsalt": "hsed_jax",  # the same figure is the same file
-}
-
-
-def in_house_style[**P, R](draw: Callable[P, R]) -> Callable[P, R]:
-    """Run a drawing function under the house style, and restore the user's settings of matplotlib."""
-
-    @wraps(draw)
-    def styled(*args: P.args, **kwargs: P.kwargs) -> R:
-        with matplotlib.style.context([_RC], after_reset=True):
-            return draw(*args, **kwargs)
-
-    return styled
 
 
 @dataclass(frozen=True, repr=False)
@@ -117,23 +80,9 @@ def _set_powers_of_ten(axis: Axis) -> None:
         formatter.set_useMathText(bool(formatter.get_offset()))
 
 
-@in_house_style
 def save(picture: Picture, folder: str | Path, name: str) -> tuple[Path, Path]:
-    """Write `name.png` (200 dpi) and `name.svg` into a folder, and return their paths.
-
-    The same picture gives the same bytes: no date, fixed identifiers.  The caption and the alternative text travel in
-    the metadata of both files.
-    """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    about = {"Title": picture.caption, "Description": picture.alt}
-    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    with create(png) as file:
-        # A level of compression whose files are a tenth larger, in a third of the time.
-        picture.figure.savefig(file, format="png", dpi=200, metadata=about, pil_kwargs={"compress_level": 3})
-    with create(svg) as file:
-        picture.figure.savefig(file, format="svg", dpi=200, metadata={**about, "Date": None})
-    return png, svg
+    """Write `name.png` and `name.svg` into a folder, as `saving.write` does, and return their paths."""
+    return write(picture.figure, picture.caption, picture.alt, Path(folder), name)
 
 
 def new_figure(height: float) -> Figure:

@@ -1,6 +1,7 @@
 """The figures of a run, drawn from its outcome and its illustrations into its folder."""
 
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from hsed_jax.reporting.discovery_figures import learned
 from hsed_jax.reporting.misfit_figures import misfit_drawings
 from hsed_jax.reporting.population_figures import population
 from hsed_jax.reporting.posterior_figures import posterior
+from hsed_jax.reporting.saving import Writer
 from hsed_jax.reporting.style import Drawing, Picture
 from hsed_jax.runs.illustrations import (
     ERROR_MAP,
@@ -32,7 +34,12 @@ Tables = Mapping[str, xr.Dataset]
 
 
 def draw(
-    outcome: Outcome, tables: Tables, folder: Path, left_out: LeftOut, report: Callable[[str], None] = lambda name: None
+    outcome: Outcome,
+    tables: Tables,
+    folder: Path,
+    writer: Writer,
+    left_out: LeftOut,
+    report: Callable[[str], None] = lambda name: None,
 ) -> None:
     """Write every figure that has data, as PNG and SVG.
 
@@ -40,6 +47,7 @@ def draw(
         outcome: of the run.
         tables: data for the figures alone.
         folder: of the figures.
+        writer: writes the files.
         left_out: notes the figures that cannot be drawn.
         report: receives the name of each.
     """
@@ -49,15 +57,21 @@ def draw(
         "diagnosis": partial(diagnosis_drawings, outcome),
         "posterior": partial(_posterior_drawings, outcome),
     }
+    written: dict[str, Future[None]] = {}
     for group, drawings in groups.items():
         for name, make in left_out.attempt(f"set of figures of the {group}", lambda of=drawings: [*of()], []):
             report(name)
-            left_out.attempt(f"figure {name}", partial(_save, make, folder, name), None)
+            if (
+                one := left_out.attempt(f"figure {name}", partial(_asked, make, writer, folder, name), None)
+            ) is not None:
+                written[name] = one
+    for name, one in written.items():
+        left_out.attempt(f"figure {name}", one.result, None)
 
 
-def _save(make: Callable[[], Picture | None], folder: Path, name: str) -> None:
-    if (picture := make()) is not None:
-        figures.save(picture, folder, name)
+def _asked(make: Callable[[], Picture | None], writer: Writer, folder: Path, name: str) -> Future[None] | None:
+    picture = make()
+    return None if picture is None else writer.write(picture.figure, picture.caption, picture.alt, folder, name)
 
 
 def _design_drawings(outcome: Outcome, tables: Tables) -> Iterator[Drawing]:

@@ -173,18 +173,19 @@ class Run:
             self.store.finish()
             return
         from hsed_jax.reporting.report import report_page
+        from hsed_jax.reporting.saving import Writer
         from hsed_jax.runs.figures import draw
         from hsed_jax.runs.illustrations import illustrations
 
         left_out = LeftOut()
-        with self._watch("figures") as watch:
+        with Writer() as writer, self._watch("figures") as watch:
             tables = {}
             try:
                 tables = illustrations(outcome, left_out, watch.report)
             finally:
                 # Before the figures are drawn, so that the results are on the disk if a figure fails.
                 self.store.write_results(results := results_tree(outcome, tables))
-            draw(outcome, tables, self.store.figures, left_out, watch.report)
+            draw(outcome, tables, self.store.figures, writer, left_out, watch.report)
         if left_out.reasons:
             content["left_out"] = left_out.sentences
             self.store.write_summary(content)

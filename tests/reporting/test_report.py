@@ -21,6 +21,7 @@ from hsed_jax.reporting.digest import verdict, warnings
 from hsed_jax.reporting.inline_svg import inline
 from hsed_jax.reporting.page_tables import error_of, residual_table, samples_table, thinned, unit_words
 from hsed_jax.reporting.report import report_page
+from hsed_jax.reporting.saving import Writer
 from hsed_jax.runs import figures, reading
 from hsed_jax.runs.reading import read_run
 
@@ -655,7 +656,8 @@ def test_a_figure_that_fails_leaves_the_others_and_is_said(tmp_path, monkeypatch
     for name in ("diagnosis_drawings", "_posterior_drawings"):
         monkeypatch.setattr(figures, name, lambda *_: iter(()))
     left_out = LeftOut()
-    figures.draw(outcome(), {}, tmp_path, left_out)
+    with Writer() as writer:
+        figures.draw(outcome(), {}, tmp_path, writer, left_out)
     assert {path.name for path in tmp_path.iterdir()} == {"whole.png", "whole.svg"}
     assert left_out.reasons.keys() == {"set of figures of the design", "figure broken"}
 
