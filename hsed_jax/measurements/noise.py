@@ -1,7 +1,5 @@
 """The noise of a record, from its samples alone."""
 
-import math
-
 import numpy as np
 
 
@@ -25,15 +23,13 @@ def difference_noise(time: np.ndarray, values: np.ndarray, order: int) -> float:
     """The same from divided differences of any order; for white noise every order gives the same estimate."""
     if time.size < order + 5:
         return float("nan")
-    count = time.size - order
-    at, sampled = ([of[k : k + count] for k in range(order + 1)] for of in (time, values))
+    windows = np.lib.stride_tricks.sliding_window_view(time, order + 1)
+    gaps = windows[:, :, None] - windows[:, None, :] + np.eye(order + 1)
     # A divided difference is a weighted sum of samples; weights of unit length keep the noise's standard deviation.
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Gaps relative to their window: products of small ones would underflow.
-        gaps = [[(here - there) / (at[-1] - at[0]) for there in at] for here in at]
-        weights = [1.0 / math.prod(own[:k] + own[k + 1 :]) for k, own in enumerate(gaps)]
-        length = np.sqrt(sum(weight**2 for weight in weights))
-        differences = sum(weight * one for weight, one in zip(weights, sampled, strict=True)) / length
+        weights = 1.0 / np.prod(gaps / np.abs(gaps).max(axis=(1, 2), keepdims=True), axis=2)
+        weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+        differences = np.sum(weights * np.lib.stride_tricks.sliding_window_view(values, order + 1), axis=1)
     # Exact zeros are a record at rest that was rounded or padded: they carry no information on the sensor.
     informative = np.abs(differences[np.isfinite(differences) & (differences != 0)])
     return float(1.4826 * np.median(informative)) if informative.size else 0.0
