@@ -110,7 +110,7 @@ class NestedModels:
             return []
         self._asked += 1
         whole = [[t.submodel.free, t.use, t.rivals] for t in tasks]
-        name = f"fits-{fingerprint(self._asked, self._neutral, target.values, whole)}"
+        name = f"states-{fingerprint(self._asked, self._neutral, target.values, whole)}"
         if (kept := self._watch.recall(name)) is not None:
             return self._again(target, tasks, kept)
         fits = self._descended(target, tasks)
