@@ -22,7 +22,7 @@ from hsed_jax.programs import program
 
 # A step is at most this share of the yield elongation, and a range is followed in no more steps than these.
 _PER_YIELD, _FINEST = 0.2, 200
-# Simulations that run together: those of one model fill the registers of a core, and wider ones take more time for each.
+# Simulations that run together: eight fill a vector register, and wider chunks take more time for each simulation.
 _CHUNK = 8
 # A force of so many characteristic forces is that of a model which diverges.
 _DIVERGED = 1e3

@@ -247,7 +247,7 @@ class Batch:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The same for simulations that differ from one another, each up to its stop."""
         self.simulations += len(thetas)
-        # The tiles are distributed over the cores: each has as many chunks as every other one.
+        # Every core gets the same number of chunks.
         count = cores() * max(-(-len(thetas) // (cores() * _CHUNK)), 1)
         size = -(-len(thetas) // (count * _TILE)) * _TILE
         chunks = [

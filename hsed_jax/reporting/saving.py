@@ -1,6 +1,6 @@
-"""The files of figures, written by a second process while this one draws the next figure.
+"""The files of figures, which a second process writes while this one draws the next figure.
 
-Most of the time of a figure is that of its two files, and Python draws with one core.
+The two files of a figure take more time than its drawing, and one process of Python uses one core.
 """
 
 import os

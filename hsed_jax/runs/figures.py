@@ -57,16 +57,14 @@ def draw(
         "diagnosis": partial(diagnosis_drawings, outcome),
         "posterior": partial(_posterior_drawings, outcome),
     }
-    written: dict[str, Future[None]] = {}
+    asked: dict[str, Future[None] | None] = {}
     for group, drawings in groups.items():
         for name, make in left_out.attempt(f"set of figures of the {group}", lambda of=drawings: [*of()], []):
             report(name)
-            if (
-                one := left_out.attempt(f"figure {name}", partial(_asked, make, writer, folder, name), None)
-            ) is not None:
-                written[name] = one
-    for name, one in written.items():
-        left_out.attempt(f"figure {name}", one.result, None)
+            asked[name] = left_out.attempt(f"figure {name}", partial(_asked, make, writer, folder, name), None)
+    for name, written in asked.items():
+        if written is not None:
+            left_out.attempt(f"figure {name}", written.result, None)
 
 
 def _asked(make: Callable[[], Picture | None], writer: Writer, folder: Path, name: str) -> Future[None] | None:
