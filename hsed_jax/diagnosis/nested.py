@@ -104,10 +104,10 @@ class NestedModels:
         Returns:
             The final fit states, in the order of the tasks.
         """
-        # The name has the position in the search and the integers of the tasks, but not the starts: these differ in the last bit
-        # between programs of one model, and a resumed search does not compile the same programs as the interrupted one.
         if not tasks:
             return []
+        # The name has the position in the search and the integers of the tasks, but not the starts: these differ in the last bit
+        # between programs of one model, and a resumed search does not compile the same programs as the interrupted one.
         self._asked += 1
         whole = [[t.submodel.free, t.use, t.rivals] for t in tasks]
         name = f"states-{fingerprint(self._asked, self._neutral, target.values, whole)}"

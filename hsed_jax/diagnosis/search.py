@@ -353,12 +353,12 @@ class Search:
         return next((s for s in sets if len(s) <= len(self.best) or self._unsupported(s, self.best) is None), self.best)
 
     def _neighbours(self) -> list[Set]:
-        """The sets one change away from the best one; whether a further effect is tried is decided once."""
+        """The sets one change away from the best one.  It is decided once whether they include larger sets."""
         best = self.best
         if best not in self._near:
             others, bases = [e for e in self.effects if e not in best], less_one(best)
-            grown = [base | {new} for base in [*bases, *([best] if self._may_grow() else [])] for new in others]
-            self._near[best] = [best, *bases, *grown]
+            extended = [*bases, best] if self._may_grow() else bases
+            self._near[best] = [best, *bases, *(base | {new} for base in extended for new in others)]
         return self._near[best]
 
     def _may_grow(self) -> bool:

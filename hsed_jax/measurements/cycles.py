@@ -176,8 +176,8 @@ def returned(cycles: Cycles, elongation: np.ndarray, force: np.ndarray) -> list[
 
 def _energy_of_noise(elongation: np.ndarray, force: np.ndarray, of_elongation: float, of_force: float) -> float:
     """Standard deviation of the energy of a cycle from the noise of both channels: of each on the steps of the other."""
-    ways = [np.sum(np.gradient(channel) ** 2) if len(channel) > 1 else 0.0 for channel in (elongation, force)]
-    return float(np.sqrt(of_force**2 * ways[0] + of_elongation**2 * ways[1]))
+    steps = [np.sum(np.gradient(channel) ** 2) if len(channel) > 1 else 0.0 for channel in (elongation, force)]
+    return float(np.sqrt(of_force**2 * steps[0] + of_elongation**2 * steps[1]))
 
 
 def _peaks(elongation: np.ndarray, found: Sequence[Span]) -> np.ndarray:

@@ -19,7 +19,6 @@ from hsed_jax.physics import display
 from hsed_jax.physics.outputs import output
 from hsed_jax.reporting import style
 from hsed_jax.reporting.style import Picture as Picture
-from hsed_jax.reporting.style import save as save
 
 History = Mapping[str, npt.ArrayLike]
 """Channels of one experiment by canonical name, and `time` [s]; all of shape (m,), in SI units."""

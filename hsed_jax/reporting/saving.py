@@ -89,7 +89,7 @@ class Writer:
         self._thread = ThreadPoolExecutor(1)
 
     def write(self, figure: Figure, title: str, description: str, folder: Path, name: str) -> "Future[None]":
-        """Write a figure as `write` does; the future is done when its files are there, or has the error."""
+        """Let the process write a figure as `write` does.  The future ends when both files exist, or with the error."""
         return self._thread.submit(self._asked, pickle.dumps((figure, title, description, folder, name)))
 
     def _asked(self, request: bytes) -> None:

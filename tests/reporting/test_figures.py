@@ -229,10 +229,10 @@ def test_symbols_come_from_where_the_parameter_is_declared():
 @pytest.mark.whole
 def test_saving_writes_both_files_the_same_each_time(tmp_path):
     for case in ("motions, many", "order, three inputs"):
-        first = [path.read_bytes() for path in figures.save(CASES[case](), tmp_path / "new" / "folder", "figure")]
+        first = [path.read_bytes() for path in style.save(CASES[case](), tmp_path / "new" / "folder", "figure")]
         picture = CASES[case]()
         picture._repr_png_()
-        paths = figures.save(picture, tmp_path, "figure")
+        paths = style.save(picture, tmp_path, "figure")
         assert [path.name for path in paths] == ["figure.png", "figure.svg"]
         assert [path.read_bytes() for path in paths] == first
         assert picture.alt.encode() in first[1]
@@ -240,10 +240,10 @@ def test_saving_writes_both_files_the_same_each_time(tmp_path):
 
 
 def test_the_users_matplotlib_settings_neither_matter_nor_change(tmp_path):
-    (_, expected) = figures.save(CASES["loops"](), tmp_path, "expected")
+    (_, expected) = style.save(CASES["loops"](), tmp_path, "expected")
     with matplotlib.rc_context({"font.size": 20, "axes.grid": False, "lines.linewidth": 9}):
         before = dict(matplotlib.rcParams)
-        (_, found) = figures.save(CASES["loops"](), tmp_path, "found")
+        (_, found) = style.save(CASES["loops"](), tmp_path, "found")
         assert dict(matplotlib.rcParams) == before
     assert found.read_bytes() == expected.read_bytes()
 
