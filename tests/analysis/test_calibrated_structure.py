@@ -73,6 +73,7 @@ def test_an_improved_model_is_calibrated_from_where_it_fits_best(tmp_path, monke
     assert begun == pytest.approx({**TRUTH, "viscous_damping.delta": 0.2}, rel=0.2)
 
 
+@pytest.mark.whole
 def test_their_derivatives_are_those_of_differences(tmp_path):
     built = Built(study(tmp_path))
     conditions = Conditions({"V_P": jnp.asarray(1.5)})

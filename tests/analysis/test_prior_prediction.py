@@ -36,6 +36,7 @@ def test_data_of_the_model_itself_are_within_its_priors():
     ]
 
 
+@pytest.mark.whole
 def test_a_specimen_that_is_too_strong_for_the_priors_is_said_to_be(weak):
     _, campaign, found, _ = weak
     # The strength of a Bouc–Wen spring is A/β at most, however it is driven.
@@ -52,6 +53,7 @@ def test_a_specimen_that_is_too_strong_for_the_priors_is_said_to_be(weak):
         assert abs(force[worst]) > 0.9 * np.max(np.abs(force))
 
 
+@pytest.mark.whole
 def test_no_simulation_within_the_priors_is_closer_than_is_said(weak):
     _, campaign, found, _ = weak
     for reach, experiment in zip(found, campaign, strict=True):

@@ -57,6 +57,7 @@ def removed(xs, planned):
     return 1 - np.einsum("mp,pq,mq->", g, posterior, g) / np.einsum("mp,pq,mq->", g, prior, g)
 
 
+@pytest.mark.whole
 def test_of_a_straight_line_it_is_that_of_the_textbook(study):
     built = Built(study)
     found = worth_of(built.inference, campaign_at(X))

@@ -97,6 +97,7 @@ def near(tmp_path_factory):
     return folder, xr.load_dataset(folder / "indices.nc", engine="h5netcdf")
 
 
+@pytest.mark.whole
 def test_near_its_values_the_shape_of_the_pulse_hardly_matters_as_the_paper_says(near):
     _, indices = near
     assert set(indices["variable"].values) == {"V_P", "T_P", "gamma", "nu", "A"}

@@ -377,6 +377,7 @@ def finished(tmp_path_factory):
     return root
 
 
+@pytest.mark.whole
 def test_a_slider_moves_the_loop_as_independent_steps_do_and_compiles_nothing(finished):
     explorer = Explorer(finished / "runs" / "column")
     experiment, values = explorer.experiments["column"], explorer.starts["the model as it was"].parameters
@@ -408,6 +409,7 @@ def timed(variant, values, experiment):
     return variant.simulate(values, experiment), time.perf_counter() - begun
 
 
+@pytest.mark.whole
 def test_a_run_that_names_code_is_not_explored(finished, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(finished / "runs" / "column", run)

@@ -75,6 +75,7 @@ def test_every_ready_study_is_read_again_as_it_was_written(request, tmp_path):
         assert again.written() == study.written()
 
 
+@pytest.mark.whole
 @settings(deadline=None, max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),

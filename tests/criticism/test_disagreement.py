@@ -40,6 +40,7 @@ def judged(data):
     return disagreement(POSTERIOR, data, np.asarray(find(POSTERIOR, data).u), UNITS)
 
 
+@pytest.mark.whole
 def test_the_difference_is_that_of_two_least_squares_fits():
     data = measured((1.0, 2.0), (1.0, 2.6))
     found = judged(data)

@@ -37,6 +37,7 @@ def calibration():
     return hx.calibrate(study, campaign)
 
 
+@pytest.mark.whole
 def test_the_parts_of_an_error_are_noise_parameters_and_model_and_add_up_to_it(calibration):
     comparison = hx.compare(calibration)
     for split, experiment in ((comparison.train, "E01"), (comparison.test, "E02")):
@@ -50,6 +51,7 @@ def test_the_parts_of_an_error_are_noise_parameters_and_model_and_add_up_to_it(c
     assert said and "model 0.000" not in said
 
 
+@pytest.mark.whole
 def test_before_the_motion_starts_the_band_is_the_models_and_not_noise(calibration):
     prediction = calibration.train
     still = slice(0, SAMPLES // 4)
@@ -64,6 +66,7 @@ def test_before_the_motion_starts_the_band_is_the_models_and_not_noise(calibrati
     assert {"parameters", "and model", "and noise"} <= {*texts}
 
 
+@pytest.mark.whole
 def test_of_a_record_too_coarse_to_tell_the_noise_no_more_is_noise_than_is_left(calibration):
     random = np.random.default_rng(1)
     coarse = replace(calibration.train, measured=1e5 * random.normal(size=calibration.train.measured.shape))

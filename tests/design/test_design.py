@@ -194,6 +194,7 @@ def test_no_point_is_tested_twice(campaign):
     assert distance.min() > SAME_POINT
 
 
+@pytest.mark.whole
 def test_a_design_keeps_its_distance_and_replicates_do_not(campaign, toy):
     design, state, _ = campaign
     distance = np.linalg.norm(state.cube[:, None] - state.cube[None], axis=-1) + 9 * np.eye(len(state.trials))
@@ -258,6 +259,7 @@ def test_an_improvement_below_a_millionth_of_the_largest_is_shown_as_none():
     assert "by 0 % of it" in ExpectedImprovement.lesson(1e-44, [0.3])
 
 
+@pytest.mark.whole
 def test_few_candidates_are_used_up_one_by_one_and_then_there_are_none(toy):
     design = toy(candidates=4, acquisition="random")
     state = begun(design)

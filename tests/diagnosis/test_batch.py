@@ -72,6 +72,7 @@ def test_a_batch_gives_what_the_whole_model_gives(case, monkeypatch, price):
     np.testing.assert_allclose(found[4], exact, rtol=1e-9)
 
 
+@pytest.mark.whole
 def test_effects_that_are_no_candidates_always_act(case):
     built, names, conditions, parts, thetas, experiments = case
     whole, _ = Batch(built.simulation.simulator, built.inference.observation, names, conditions)(thetas, experiments)
@@ -208,6 +209,7 @@ def test_windows_of_one_record_have_one_simulation():
         np.testing.assert_array_equal(found[number::3][:, own], alone[:, own])
 
 
+@pytest.mark.whole
 def test_a_calibration_simulates_the_windows_of_one_record_once():
     built, data = three_windows()
     campaign = built.campaign

@@ -1051,6 +1051,7 @@ def test_a_dashpot_that_one_record_hardly_shows_is_said_to_be_likely():
     assert first.score["gain"] > 0
 
 
+@pytest.mark.whole
 def test_where_no_noise_is_known_nothing_is_decided():
     quantities = {"observe": "quantities", "quantities": ["peak_force", "dissipated_energy"]}
     found = diagnosed(C, effects=["asymmetry"], error={"unknown": True}, **quantities)

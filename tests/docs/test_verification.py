@@ -62,6 +62,7 @@ def test_every_test_that_is_named_exists():
             assert name in functions(file), f"{page.name}: {file}::{name}"
 
 
+@pytest.mark.whole
 def test_every_test_with_a_chapter_has_its_rows_or_a_reason(manual, kept):
     of_tests = {node.split("[")[0] for node in (*kept["tests"], *kept["skipped"])}
     assert of_tests == set(marked())

@@ -115,6 +115,7 @@ def test_a_record_of_missing_samples_is_fitted_where_it_was_measured():
     assert found is not None and found.is_steel
 
 
+@pytest.mark.whole
 def test_the_command_chooses_the_law_in_a_process_of_its_own(tmp_path):
     time, elongation = path()
     table = np.stack([time, 1e3 * elongation, 1e-3 * steel(elongation)], axis=1)

@@ -256,6 +256,7 @@ def test_after_errors_of_the_data_nothing_is_said_of_what_was_not_measured(tmp_p
     assert "not both measured" not in said.err and not (tmp_path / "c" / "study.yaml").exists()
 
 
+@pytest.mark.whole
 def test_a_suspected_sign_flip_has_to_be_acknowledged(tmp_path, capsys):
     campaign, folder = component_campaign(), tmp_path / "c"
     record = campaign["E01"].record

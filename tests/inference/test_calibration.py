@@ -110,6 +110,7 @@ def moments(A, beta, log_density):
     return mean, sd, covariance[0, 1] / sd.prod()
 
 
+@pytest.mark.whole
 @pytest.mark.verification("paper")
 def test_map_of_the_papers_case_is_the_top_of_the_grid(paper_maximum, paper_grid, observed):
     A, beta, log_density, _ = paper_grid
@@ -122,6 +123,7 @@ def test_map_of_the_papers_case_is_the_top_of_the_grid(paper_maximum, paper_grid
     assert bool(paper_maximum.converged)
 
 
+@pytest.mark.whole
 @pytest.mark.verification("paper")
 def test_laplace_evidence_of_the_papers_case_is_the_grids_integral(paper_maximum, paper_grid, observed):
     # The posterior is nearly Gaussian.
@@ -129,6 +131,7 @@ def test_laplace_evidence_of_the_papers_case_is_the_grids_integral(paper_maximum
     observed("log evidence by Laplace's method, 8 experiments", "integral over a grid", off, 0.1)
 
 
+@pytest.mark.whole
 @pytest.mark.verification("paper")
 @EXACT
 def test_draws_of_the_papers_case_have_the_moments_of_the_grid(paper, paper_maximum, paper_grid, sampler, observed):
@@ -152,6 +155,7 @@ def test_draws_of_the_papers_case_have_the_moments_of_the_grid(paper, paper_maxi
     assert np.corrcoef(draws.T)[0, 1] == pytest.approx(correlation, abs=error * (1 - correlation**2) + 0.01)
 
 
+@pytest.mark.whole
 def test_draws_of_the_gaussian_around_the_mode_are_near_the_grids(paper, paper_maximum, paper_grid):
     built, data, _ = paper
     chains = drawn(built.inference.posterior, data, paper_maximum, Settings(4, 100, 500, sampler="laplace"))
@@ -165,6 +169,7 @@ def test_draws_of_the_gaussian_around_the_mode_are_near_the_grids(paper, paper_m
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=0.2)
 
 
+@pytest.mark.whole
 def test_gauss_newton_covariance_of_the_papers_case_is_near_the_grids(paper_maximum, paper_grid):
     _, sd, _ = moments(*paper_grid[:3])
     # A quadratic approximation at the mode of a slightly skew density.
@@ -217,6 +222,7 @@ def test_log_likelihood_of_noise_with_a_memory_is_the_joint_normal_density(obser
     observed("log likelihood of autocorrelated noise", "SciPy joint normal", relative(found, expected), 1e-12)
 
 
+@pytest.mark.whole
 @pytest.mark.verification("inference")
 def test_a_relative_error_of_a_quantity_is_one_of_its_logarithm(observed):
     # y = θ x (1 + sε): the density of log y and its mode in closed form; anchored on the data the mode would be another.
@@ -302,6 +308,7 @@ def test_missing_values_may_hold_anything():
     assert float(log_density(posterior, u, data)) == float(log_density(posterior, u, junk))
 
 
+@pytest.mark.whole
 def test_padding_the_data_changes_no_number(paper, paper_maximum):
     built, data, state = paper
     design = Built(
@@ -495,6 +502,7 @@ def test_several_starts_find_the_better_of_two_modes():
     assert float(find(posterior, data, starts=8).theta[0]) == pytest.approx(-1.0, abs=1e-3)
 
 
+@pytest.mark.whole
 def test_what_was_thrown_against_a_bound_comes_back():
     # A damped oscillation: from the middle of the priors the first step goes to the lower bound of the frequency, where the
     # logistic is flat, and a descent that ends there has five times the damping.
@@ -510,6 +518,7 @@ def test_what_was_thrown_against_a_bound_comes_back():
     assert np.asarray(found.theta) == pytest.approx([2.0, 0.2], rel=1e-3)
 
 
+@pytest.mark.whole
 def test_a_known_start_is_not_left_for_the_middle_of_the_prior_because_the_error_starts_large():
     # An oscillation has a mode near each of many frequencies. With an error of its prior's size, a thousand times too large, the
     # prior alone decides on the first steps.
@@ -690,6 +699,7 @@ def bent(curvature, inflate):
     return found, float(np.sqrt(np.mean(residual**2)) / 0.1), np.linalg.inv(design.T @ design / 0.1**2)
 
 
+@pytest.mark.whole
 def test_what_the_model_leaves_is_said_beside_the_intervals():
     right, left, _ = bent(0.0, False)
     assert right.doubt is None and right.chi2_per_datum == pytest.approx(left**2) and right.p_value > 0.01

@@ -193,6 +193,7 @@ def test_a_memory_is_inferred_with_the_size_where_the_study_says_that_there_is_o
     assert 0.83 <= covered([Error(Prior("half_normal", 3.0), correlated=True)], RHO) <= 0.96
 
 
+@pytest.mark.whole
 def test_intervals_under_a_long_memory_that_is_not_told_cover():
     """A linear model, records of ten correlation times: 90 % intervals hold the truth in 90 % of 800 campaigns."""
     random, rho, records, m = np.random.default_rng(11), 0.949, 4, 395

@@ -120,6 +120,7 @@ def calibration():
     return hx.calibrate(study_of(), component_campaign())
 
 
+@pytest.mark.whole
 def test_calibration_of_a_component_test_recovers_parameters_and_noise(calibration):
     campaign = calibration.campaign
     # The inferred error is relative to the RMS of each record in its window: of two much alike.
@@ -136,18 +137,21 @@ def test_calibration_of_a_component_test_recovers_parameters_and_noise(calibrati
     assert calibration.fit.convergence.divergences == 0
 
 
+@pytest.mark.whole
 def test_gauss_newton_covariance_of_a_component_test_agrees_with_nuts(calibration):
     sd = np.sqrt(np.diag(np.asarray(calibration.fit.maximum.covariance)))
     drawn = [calibration.fit.summary()[name]["sd"] for name in calibration.fit.names]
     np.testing.assert_allclose(drawn, sd, rtol=0.2)  # 600 draws
 
 
+@pytest.mark.whole
 def test_white_noise_is_counted_in_full(calibration):
     weights = np.asarray(calibration.fit.data.weights)
     assert set(np.unique(weights)) == {0.0, 1.0}
     assert weights.sum() == 240 + 301
 
 
+@pytest.mark.whole
 def test_histories_of_a_component_test_are_the_closed_form(calibration):
     campaign = calibration.campaign
     for theta in ((A, BETA), (0.6 * A, 2 * BETA)):
@@ -157,6 +161,7 @@ def test_histories_of_a_component_test_are_the_closed_form(calibration):
             assert np.abs(found["force"] - exact).max() < 3e-3 * np.abs(exact).max()
 
 
+@pytest.mark.whole
 def test_comparison_of_a_component_test_is_adequate_in_both_splits(calibration):
     comparison = hx.compare(calibration)
     assert comparison.adequate
@@ -256,6 +261,7 @@ def test_an_elongation_that_was_not_zeroed_is_no_load():
     np.testing.assert_allclose(found[1], found[0], atol=1e-3)
 
 
+@pytest.mark.whole
 def test_test_experiments_are_never_fitted(calibration):
     assert int(calibration.fit.data.count) == 2
     assert [e.id for e in calibration.train.experiments] == ["E01", "E02"]
@@ -376,6 +382,7 @@ def shaking(seed):
     return time, 6.0 * np.sin(2 * np.pi * 1.1 * t + seed) * np.sin(0.4 * t) ** 2
 
 
+@pytest.mark.whole
 def test_histories_of_a_structure_under_measured_ground_acceleration_are_scipys():
     records = {}
     for seed in range(2):
@@ -518,6 +525,7 @@ def test_quantities_that_nobody_measured_are_refused():
         assemble(Quantities(("peak_force",)), without, without.train.experiments, np.asarray([True]))
 
 
+@pytest.mark.whole
 def test_a_record_longer_than_the_model_was_built_for_is_refused(calibration):
     time, elongation = motion(0, 600)
     longer = Record(time, {"elongation": elongation, "force": exact_force(elongation)})

@@ -117,6 +117,7 @@ def calibration(campaign):
     return hx.calibrate(Study.model_validate(content()), campaign)
 
 
+@pytest.mark.whole
 def test_a_calibration_says_first_which_estimates_lean(campaign, calibration):
     found = {one.parameter: one.side for one in calibration.fit.leaning}
     assert found["beta"] == "lower"

@@ -142,6 +142,7 @@ def test_draws_are_settled_where_they_are_right_and_not_where_they_are_not(monke
     assert quick.settled and quick.points[:, 0].std() == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("dimensions", [1, 8])
 def test_draws_that_lack_a_tail_grow_one(dimensions):
     # Exponential in one coordinate, of which the draws have nothing beyond the median; normal in the others.
@@ -246,6 +247,7 @@ def test_a_budget_leaves_the_draws_there_are_and_says_so():
     assert found.warning is not None and found.warning.startswith(expected)
 
 
+@pytest.mark.whole
 def test_a_budget_that_ends_in_the_adaptation_leaves_the_gaussian():
     posterior, data, maximum = ridge(0.3)
     chains = drawn(posterior, data, maximum, SHORT, seconds=1e-6)
@@ -304,6 +306,7 @@ def test_resampling_keeps_every_draw_as_often_as_it_weighs():
     np.testing.assert_array_equal(log_density, -np.asarray(u)[:, 0])
 
 
+@pytest.mark.whole
 @pytest.mark.verification("inference")
 def test_ten_parameters_by_importance_sampling_have_the_closed_form(observed):
     names = [f"t{k}" for k in range(10)]

@@ -66,6 +66,7 @@ def test_a_file_is_checked_and_nothing_is_written(wall, capsys):
     assert "nowhere" in capsys.readouterr().err
 
 
+@pytest.mark.whole
 def test_what_is_there_is_replaced_only_by_force_and_the_column_of_the_force_is_said_by_it(wall, capsys):
     assert main(["init", "wall.csv", "--split", "0"]) == 0
     assert main(["init", "wall.csv"]) == 2

@@ -74,6 +74,7 @@ def compared(observed, problem, material, found, expected, tolerance):
         observed(f"{problem}: {name}", f"OpenSees {material}", relative(found[name], value), tolerance)
 
 
+@pytest.mark.whole
 @pytest.mark.verification("laws")
 def test_bouc_wen_without_degradation_is_our_own_specimen(openseespy, observed):
     ours, theirs = built({"virtual": {"parameters": OURS}}).site.laboratory, built(specimen("BoucWen")).site.laboratory

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from builders.shares import by_default, is_simple
 from observations import of_largest, relative
 from scipy.integrate import solve_ivp
 
@@ -264,7 +265,9 @@ def test_an_effect_that_needs_no_time_follows_the_path_alone(name, label):
     assert EFFECTS[name].needs_time is not follows
 
 
-@pytest.mark.parametrize(("name", "label"), [(n, label) for n in EFFECTS for label in forms_of(EFFECTS[n])])
+@pytest.mark.parametrize(
+    ("name", "label"), by_default([(n, label) for n in EFFECTS for label in forms_of(EFFECTS[n])], is_simple)
+)
 def test_contributions_have_the_derivatives_of_central_differences(name, label):
     effect, form = EFFECTS[name], forms_of(EFFECTS[name])[label]
     values = {key: off_neutral(known) for key, known in form.parameters(effect).items()}
@@ -307,6 +310,7 @@ def orders(names: tuple[str, ...] = SPRING, limit: int = 6) -> list[tuple[str, .
     return [names, names[::-1], *(tuple(map(str, draw.permutation(names))) for _ in range(limit - 2))]
 
 
+@pytest.mark.whole
 def test_effects_commute_in_the_law():
     # In its last form, too, which is another one wherever there are several.
     for last in (False, True):
@@ -335,6 +339,7 @@ def parameters(names, value) -> dict:
     }
 
 
+@pytest.mark.whole
 def test_all_effects_at_their_neutral_values_are_the_plain_model(paper_simulator, pulse_conditions):
     plain = quantities_with(paper_simulator, pulse_conditions, (), {})
     neutral = parameters(PRESENT, lambda p: p.neutral)
@@ -342,6 +347,7 @@ def test_all_effects_at_their_neutral_values_are_the_plain_model(paper_simulator
     np.testing.assert_allclose(nested, plain, rtol=1e-12)
 
 
+@pytest.mark.whole
 def test_effects_commute_in_the_response(paper_simulator, pulse_conditions):
     names = ("stiffness_degradation", "strength_degradation")
     values = parameters(names, lambda p: p.neutral + 0.3)

@@ -40,6 +40,7 @@ def elongation():
     return respond
 
 
+@pytest.mark.whole
 @pytest.mark.verification("effects")
 def test_coarse_steps_cross_a_slack_as_fine_ones_do(elongation, observed):
     slack = np.asarray([0.01, 0.03, 0.06])

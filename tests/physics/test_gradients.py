@@ -180,6 +180,7 @@ def plain_truth(prediction):
     return np.stack(values), np.stack(jacobians)
 
 
+@pytest.mark.whole
 def test_predictor_value_and_jvp_equal_plain_vmap(prediction, plain_truth):
     predict, _ = prediction
     values, jacobians = plain_truth
@@ -220,6 +221,7 @@ def test_predictor_nested_vmap_and_gradient_equal_a_loop(prediction, plain_truth
         check(slopes[:, i], outputs[:, i], ok[:, i], slice(0, 2))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("count", [0, 1, 40, 65])
 def test_predictor_is_zero_beyond_the_count(prediction, plain_truth, count):
     predict, _ = prediction

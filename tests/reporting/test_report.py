@@ -55,6 +55,7 @@ def test_the_check_of_an_exported_script_is_on_the_page(folder):
         read_run(folder)
 
 
+@pytest.mark.whole
 def test_the_figures_on_the_page_are_those_of_the_summary(folder):
     page = report_page(read_run(folder))
     shown = dict(re.findall(r'<data value="([^"]+)" data-figure-key="([^"]+)"', page))
@@ -84,6 +85,7 @@ def test_an_improvement_without_a_diagnosis_has_its_headline_and_what_is_ambiguo
     assert head.index("goes from 0.350 to 0.055") < head.index("It is this or that.")
 
 
+@pytest.mark.whole
 def test_a_hardening_below_zero_is_said_to_be_a_softening(tmp_path):
     def change(found):
         found["improvement"]["steps"][-1]["parameters"] = {"A": 5e5, "hardening.delta": -0.25}
@@ -251,6 +253,7 @@ def test_a_file_that_is_no_report_is_not_replaced(folder, tmp_path, capsys):
     assert "choose another --output" in capsys.readouterr().err
 
 
+@pytest.mark.whole
 def test_two_runs_stand_side_by_side_with_what_differs(tmp_path):
     first = write(tmp_path / "first")
     other = write(tmp_path / "other", study="other")
@@ -570,6 +573,7 @@ def test_nothing_is_wider_than_the_page(opened):
     assert page.evaluate("document.documentElement.scrollWidth") <= 420
 
 
+@pytest.mark.whole
 def test_the_page_of_two_runs_draws_its_charts(opened, page_file, tmp_path):
     other = write(tmp_path / "other", study="other")
     output = tmp_path / "both.html"

@@ -102,6 +102,7 @@ def bouc_wen_frame(slips):
     return solve_ivp(rates, (0.0, 4.0), np.zeros(6), t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.005).y
 
 
+@pytest.mark.whole
 def test_two_specimens_are_those_of_another_integrator():
     stiffness, bounds = np.array([6e6, 4e6]), np.array([60.0, 50.0])
     y = bouc_wen_frame(lambda du, z: stiffness * du - bounds * np.abs(du) * z)
@@ -128,6 +129,7 @@ def test_a_specimen_that_is_elastic_is_a_linear_spring():
     np.testing.assert_allclose(both.channels["storey1.force"], force, rtol=0, atol=1e-10 * np.abs(force).max())
 
 
+@pytest.mark.whole
 def test_a_linear_spring_that_yields_is_a_bouc_wen_specimen():
     structure = frame((Spring((0, 1), SECOND["A"]),), BETWEEN[:1], FIRST["A"])
     law = FIRST | {"gamma": 0.0, "n": 1.0}
@@ -150,6 +152,7 @@ def test_a_linear_spring_that_yields_is_a_bouc_wen_specimen():
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3 * np.abs(expected).max())
 
 
+@pytest.mark.whole
 def test_a_linear_spring_that_yields_freely_is_a_bouc_wen_specimen_beside_a_spring():
     stiffness, kept, delta, turned, sharpness = SECOND["A"], 0.4, 1.2, 1.375, 1.3
     law = FIRST | {"gamma": 0.0, "n": 1.0}
@@ -174,6 +177,7 @@ def test_a_linear_spring_that_yields_freely_is_a_bouc_wen_specimen_beside_a_spri
         np.testing.assert_allclose(found[name], values, rtol=0, atol=2e-3 * np.abs(values).max())
 
 
+@pytest.mark.whole
 def test_parameters_are_shared_unless_a_specimen_has_its_own():
     law = {"A": 5e6, "beta": 50.0, "gamma": 0.0, "n": 1.0}
     names = ("storey1.force", "storey2.force")
