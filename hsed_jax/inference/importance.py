@@ -107,12 +107,19 @@ class Weighted(NamedTuple):
         """Effective number of draws (Kish)."""
         return _worth(self.weights) if np.isfinite(self.log_evidence) else 0.0
 
+    def flattened(self) -> "Weighted":
+        """The same draws, their weights flattened until enough of them count."""
+        with np.errstate(divide="ignore"):
+            return self._replace(weights=flattened(np.log(self.weights), self.points.shape[1]))
+
     @property
     def doubt(self) -> str | None:
         """The reason for doubts about moments of these draws, in a sentence; None if they are reliable."""
         if self.reliable:
             return None
         what = f"Pareto shape {self.shape:.2f}, effective number {self.worth:.0f} of {len(self.points)} draws"
+        if self.flattened().worth > self.worth + 1:
+            what += ", so that their weights are flattened and the intervals are a rough guide"
         if self.missed > _MAY_MISS:
             what = f"{self.missed:.1%} of the steps from its draws end where it has hardly any draws, so a tail is too short"
         return f"importance sampling is unreliable here: {what} (calibration.sampler: nuts does not use it)"

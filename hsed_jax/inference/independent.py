@@ -31,9 +31,13 @@ class Weighing:
     random: np.random.Generator
 
     def chains(self) -> Chains:
-        """Draws in proportion to their weights, with a doubt if the weights are unreliable."""
+        """Draws in proportion to their weights, with a doubt if the weights are unreliable.
+
+        If a few draws have nearly all the weight, the weights are flattened: these draws alone would give intervals without
+        width.
+        """
         asked = self.asked
-        u, log_density = resampled(self.weights, asked.number, self.random)
+        u, log_density = resampled(self.weights.flattened(), asked.number, self.random)
         settings = asked.settings._replace(sampler="importance")
         found = independent(asked.posterior, u, log_density, asked.step_size, settings, self.weights.worth)
         return found._replace(doubt=self.weights.doubt)

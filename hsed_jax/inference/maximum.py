@@ -36,6 +36,8 @@ _MOST_NEWTON_STEPS, _MOST_HALVINGS = 10, 4
 _LONGEST = 8.0
 # A descent that ended at a bound starts again at this share of the way to it, at most so often.
 _RETURN, _MOST_RETURNS = 0.5, 3
+# Coordinates at bounds, that is at infinity of u, are moved to one of these distances.
+_FROM_BOUNDS = (4.0, 6.0, 9.0, 14.0)
 # The end of a descent that lies k standard deviations from the mode should be k²/2 nats lower.  A higher end belongs to another
 # mode, if the density between the two falls so far below both.
 _APART, _LEAST_DIP = 5.0, 2.0
@@ -259,7 +261,7 @@ def _off_the_bounds(posterior: Posterior, data: Data, search: _Search) -> _Searc
 
 
 def _held(u: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
-    return np.clip(u, -4.0, 4.0)
+    return np.clip(u, -_FROM_BOUNDS[0], _FROM_BOUNDS[0])
 
 
 @program
@@ -277,12 +279,16 @@ def _sampling_frame(
 ) -> tuple[Float[np.ndarray, " p"], Expansion]:
     """The mode of the density in u, and the posterior there.
 
-    A MAP at a bound lies at infinity of u, but the mode does not.  Newton's method with halved steps finds it.  If a kink of
-    the response stops it early, the point that it reached is good enough.
+    A MAP at a bound lies at infinity of u, but the mode does not.  Newton's method with halved steps finds it, from the best of
+    several distances to the bounds: near a bound, a small change may change the response much.  If a kink of the response stops
+    it early, the point that it reached is good enough.
     """
-    center, here = _held(u), around
-    if not np.array_equal(center, u):
-        (here,) = expand(posterior, data, [center])
+    center, here = u, around
+    if np.abs(u).max() > _FROM_BOUNDS[0]:
+        centers = [np.clip(u, -far, far) for far in _FROM_BOUNDS]
+        found = expand(posterior, data, centers)
+        best = int(np.argmax(np.nan_to_num([float(one.log_density) for one in found], nan=-np.inf)))
+        center, here = centers[best], found[best]
     for _ in range(_MOST_NEWTON_STEPS):
         step = np.linalg.solve(here.curvature, here.gradient)
         step = step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))

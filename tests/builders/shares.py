@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 import pytest
 
 from hsed_jax.physics.effects import EFFECTS
-from hsed_jax.physics.effects.forms import default_form, forms_of
+from hsed_jax.physics.effects.forms import forms_of
 
 
 def by_default(cases: Iterable, is_kept: Callable[..., bool]) -> list:
@@ -14,7 +14,6 @@ def by_default(cases: Iterable, is_kept: Callable[..., bool]) -> list:
     return [pytest.param(*case, marks=() if is_kept(*case) else pytest.mark.whole) for case in several]
 
 
-def is_simple(effect: str, label: str) -> bool:
-    """Whether a form has the default driver or the default shape: a form with neither combines two that do."""
-    form = forms_of(EFFECTS[effect])[label]
-    return not form.driver or form.name == default_form(EFFECTS[effect]).name
+def has_default_driver(effect: str, label: str) -> bool:
+    """Whether a form has the first driver of its effect: the effects share the others."""
+    return not forms_of(EFFECTS[effect])[label].driver

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders.shares import by_default, is_simple
+from builders.shares import by_default, has_default_driver
 
 import hsed_jax as hx
 from hsed_jax.config.schema import CalibrationEntry, Study
@@ -90,7 +90,7 @@ def simulated(built: Built) -> set[str]:
     return set(memory)
 
 
-@pytest.mark.parametrize(("name", "label"), by_default(FORMS, is_simple))
+@pytest.mark.parametrize(("name", "label"), by_default(FORMS, has_default_driver))
 def test_a_form_alone_is_simulated_and_exported(name, label):
     built = with_form(name, label)
     assert "energy" in simulated(built)

@@ -18,6 +18,7 @@ from hsed_jax.inference.correlation import memory_of
 from hsed_jax.inference.expansion import expand
 from hsed_jax.inference.fit import fit
 from hsed_jax.inference.likelihood import Error, data_of, log_likelihood
+from hsed_jax.inference.maximum import maximise
 from hsed_jax.inference.nuts import Chains, Convergence, Settings, convergence
 from hsed_jax.inference.posterior import Posterior
 from hsed_jax.inference.predict import Predictor
@@ -489,6 +490,21 @@ def test_a_map_beyond_the_prior_lies_on_its_bound_and_the_draws_do_not_care(samp
     off = worth * (draws.mean() - truth.mean()) / truth.std()
     observed(f"{problem}: mean", "SciPy truncated normal", off, 4.0)
     observed(f"{problem}: standard deviation", "SciPy truncated normal", worth * (draws.std() / truth.std() - 1), 8.0)
+
+
+def test_draws_start_at_the_map_if_a_small_change_near_a_bound_changes_the_response_much():
+    # With s = logit t, the second output has the same value in several valleys; the first one prefers the one at s = 7.
+    def respond(theta, conditions):
+        s = jnp.log(theta[0] / (1 - theta[0]))
+        return jnp.stack([s, jnp.sin(3 * s)]) * conditions.inputs["x"], True
+
+    posterior, x = posterior_of(respond, {"t": Prior("uniform", [0.0, 1.0])}, [0.5, 0.02]), np.linspace(0.5, 1.0, 8)
+    data = measured_at(x, x[:, None] * [7.0, np.sin(21.0)])
+    found = maximise(posterior, data, np.asarray([[6.9]]))
+    assert float(found.u[0]) == pytest.approx(7.0, abs=1e-3)
+    assert float(found.start[0]) == pytest.approx(7.0, abs=0.1)
+    draws = np.asarray(drawn(posterior, data, found, Settings(4, 100, 500, sampler="importance")).theta)
+    assert np.abs(np.log(draws / (1 - draws)) - 7.0).max() < 0.1
 
 
 def test_several_starts_find_the_better_of_two_modes():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hsed_jax.inference.importance import Proposal, weigh
+from hsed_jax.inference.importance import Proposal, resampled, weigh, weighted
 
 SEEDS = range(20)
 
@@ -66,3 +66,24 @@ def test_draws_of_a_gaussian_are_vouched_for():
     target = lambda x: np.sum(stats.norm.logpdf(x), axis=1)  # noqa: E731
     found = [weigh(target, proposal_of(10), 2000, np.random.default_rng(seed)) for seed in SEEDS]
     assert all(one.reliable and one.doubt is None for one in found)
+
+
+def test_if_one_draw_has_all_the_weight_flattened_weights_leave_a_width():
+    """In 25 dimensions, each three times as narrow as the proposal, a few of 2000 draws have nearly all the weight."""
+    size = 25
+    target = lambda x: np.sum(stats.norm.logpdf(x, 0.0, 1 / 3), axis=1)  # noqa: E731
+    random = np.random.default_rng(0)
+    points = proposal_of(size).draw(random, 2000)
+    found = weighted(points, target(points), target(points) - proposal_of(size).log_density(points))
+    assert found.worth < 5 and found.doubt is not None
+    width = np.sqrt(found.flattened().weights @ points**2).mean()
+    # Wider than the density, narrower than the proposal, whose standard deviation is the root of 5/3.
+    assert 1 / 3 < width < np.sqrt(5 / 3)
+    chosen = resampled(found.flattened(), 2000, random)[0]
+    assert len(np.unique(chosen[:, 0])) > 4 * size
+
+
+def test_reliable_weights_are_not_flattened():
+    found = weigh(lambda x: np.sum(stats.norm.logpdf(x), axis=1), proposal_of(3, 1.2), 2000, np.random.default_rng(0))
+    assert found.reliable
+    np.testing.assert_allclose(found.flattened().weights, found.weights, rtol=1e-12)

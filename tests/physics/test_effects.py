@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders.shares import by_default, is_simple
+from builders.shares import by_default, has_default_driver
 from observations import of_largest, relative
 from scipy.integrate import solve_ivp
 
@@ -248,13 +248,13 @@ def test_a_neutral_effect_leaves_the_law_as_it_is(name):
         np.testing.assert_array_equal(values, plain()[state])
 
 
-@pytest.mark.parametrize(("name", "label"), SPRING_FORMS)
+@pytest.mark.parametrize(("name", "label"), by_default(SPRING_FORMS, has_default_driver))
 def test_an_effect_changes_the_law_off_its_neutral_value(name, label):
     changed = rates([active(name, label)])
     assert any(np.abs(changed[s] - plain()[s]).max() > 1e-3 * np.abs(plain()[s]).max() for s in changed)
 
 
-@pytest.mark.parametrize(("name", "label"), SPRING_FORMS)
+@pytest.mark.parametrize(("name", "label"), by_default(SPRING_FORMS, has_default_driver))
 def test_an_effect_that_needs_no_time_follows_the_path_alone(name, label):
     # At twice the speed such a law has the same force and runs twice as fast; friction is past its turning at these rates.
     at = points()
@@ -266,7 +266,7 @@ def test_an_effect_that_needs_no_time_follows_the_path_alone(name, label):
 
 
 @pytest.mark.parametrize(
-    ("name", "label"), by_default([(n, label) for n in EFFECTS for label in forms_of(EFFECTS[n])], is_simple)
+    ("name", "label"), by_default([(n, label) for n in EFFECTS for label in forms_of(EFFECTS[n])], has_default_driver)
 )
 def test_contributions_have_the_derivatives_of_central_differences(name, label):
     effect, form = EFFECTS[name], forms_of(EFFECTS[name])[label]

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from builders.shares import by_default, is_simple
+from builders.shares import by_default, has_default_driver
 from observations import of_largest, relative
 from scipy.integrate import quad, solve_ivp
 from scipy.stats import gennorm
@@ -648,7 +648,7 @@ def plain_up_to(values: np.ndarray) -> float | None:
     return None
 
 
-@pytest.mark.parametrize(("name", "label"), by_default(FORMS, is_simple))
+@pytest.mark.parametrize(("name", "label"), by_default(FORMS, has_default_driver))
 def test_where_a_form_leaves_its_formula_the_documentation_says_so(name, label):
     effect, form = EFFECTS[name], forms_of(EFFECTS[name])[label]
     said = f"{form.equation} {effect.__doc__}"
@@ -794,7 +794,7 @@ def program(name: str):
     return jax.jit(lambda values, at: (of(values, at), jax.jacfwd(of)(values, at)))
 
 
-@pytest.mark.parametrize(("name", "label"), by_default(FORMS, is_simple))
+@pytest.mark.parametrize(("name", "label"), by_default(FORMS, has_default_driver))
 def test_one_program_with_held_numbers_as_inputs_serves_every_form(name, label):
     effect, form = EFFECTS[name], forms_of(EFFECTS[name])[label]
     at = state()
