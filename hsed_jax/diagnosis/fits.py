@@ -163,12 +163,12 @@ class Fits:
             choices = self.of(effects)
             highest = max(self._worth(choice) for choice in choices)
             for choice in choices:
-                if self._worth(choice) > highest - _HOPELESS or len(choices) == 1:
-                    kept.append(choice)
-                else:
+                if self._worth(choice) < highest - _HOPELESS:
                     self._hopeless.add(choice)
                     self._of[effects].remove(choice)
                     del self._known[choice]
+                else:  # also if the simulations of every form diverge
+                    kept.append(choice)
         self._store(self._go_on(target, {choice: self._known[choice].x for choice in kept}, stay=True))
         lead = sorted(kept, key=self._worth, reverse=True)[:_LEAD]
         self._store(self._go_on(target, {choice: self._known[choice].x for choice in lead}))

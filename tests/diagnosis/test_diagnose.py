@@ -645,6 +645,21 @@ def test_an_effect_is_named_by_any_of_its_forms_and_the_form_is_told():
     assert model.forms == {"effect_0": "two"} and model.shares["effect_0"]["two"] > 0.999
 
 
+def test_an_effect_whose_forms_all_diverge_stops_no_search():
+    class Diverging(Dictionary):
+        def __call__(self, thetas, rows, samples=None):
+            outputs, ok = super().__call__(thetas, rows, samples)
+            return outputs, np.where(thetas[:, 2:4].any(axis=1), 0.0, ok)
+
+    values = np.einsum("k,knj->nj", np.eye(2 + K)[4] * 0.5, FUNCTIONS)
+    measured = measured_of(values + SIGMA * np.random.default_rng(0).standard_normal((N, J)))
+    models = NestedModels(Diverging(FUNCTIONS), BOX, np.zeros(2 + K))
+    search = Search(models, measured, LAW, FORMS, lambda fit: False)
+    search.start()
+    search.run()
+    assert search.best == {"effect_2"}
+
+
 def test_where_the_model_is_wrong_the_form_is_the_one_that_predicts():
     # One form is stronger in the one experiment where it is there, and says nothing of any other.
     functions, values = one_everywhere_and_one_once(0.8, 1.8)
