@@ -1,5 +1,6 @@
 """The behaviour of a specimen in engineering quantities, and its sentences."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -170,22 +171,35 @@ class Behaviours(Tabular):
 
 # Changes of a sentence.
 _SAID = 3
+# A strength of more than so many times the largest measured force is an extrapolation.
+_BEYOND = 1.2
 # Two sides that differ by less have one value.
 _ALIKE = 0.05
 # Quantities without information beyond the initial stiffness and the strength, if these change.
 _FURTHER = ("unloading_stiffness", "reloading_stiffness", "post_yield_stiffness", "sharpness")
 
 
-def told(one: Behaviour, pair: Pair) -> str:
-    """A behaviour in words, in the units in which the specimen is shown."""
+def told(one: Behaviour, pair: Pair, largest: float = math.inf) -> str:
+    """A behaviour in words, in the units in which the specimen is shown.
+
+    Arguments:
+        one: the behaviour.
+        pair: that the specimen is measured in.
+        largest: measured force, SI.  A strength far beyond it is said to be an extrapolation.
+    """
     words = QUANTITIES[one.quantity][0]
     side = "" if one.sides == "both" else f" in {one.sides}"
     owner = _owned(one.specimen)
     divisor, shown = _shown(one, pair)
     number = lambda value: f"{value / divisor:.3g}"  # noqa: E731
-    interval = f"(90 %: {number(one.after.q05)} to {number(one.after.q95)})"
     by = f" with {DRIVERS[next(iter(one.drivers))]}" if one.drivers else ""
     unit_text = f" {shown}" if shown else ""
+    interval = f"90 %: {number(one.after.q05)} to {number(one.after.q95)}"
+    most = max(one.before.mean, one.after.mean)
+    if one.quantity == "strength" and most > _BEYOND * largest:
+        measured = f"the largest measured force is {number(largest)}{unit_text}"
+        interval += f"; {number(most)}{unit_text} is an extrapolation, {measured}"
+    interval = f"({interval})"
     if one.quantity == "elastic_force":
         return f"{owner}{words} of {number(one.after.mean)}{unit_text} is added at the largest elongation {interval}"
     if one.change == "is there":

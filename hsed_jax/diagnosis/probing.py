@@ -5,6 +5,7 @@ behaviour of the specimens in engineering quantities."""
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -63,6 +64,15 @@ class Probe:
         is_alone = self.simulator.structure is None and len(self.simulator.elements) == 1
         return is_alone and self.simulator.excitation is None and not self.problem.candidates
 
+    @property
+    def _largest_force(self) -> float:
+        """The largest force of the fitted tests [N]; infinite if it is not measured, or if there are several specimens."""
+        records = [one.record.channels for one in self.problem.experiments if one.record is not None]
+        forces = [channels["force"] for channels in records if "force" in channels]
+        if not forces or len(self.simulator.elements) > 1:
+            return math.inf
+        return float(np.nanmax(np.abs(np.concatenate(forces)), initial=0.0))
+
     def called(self, model: Model) -> Set:
         """The effects of a model, named by their behaviour; an effect whose behaviour has no name keeps its own name."""
         traits = self.traits(model)
@@ -115,11 +125,10 @@ class Probe:
             own = _both_sides(self._changed(after, law, sizes, element))
             drivers = self._drivers(best, element) if own else {}
             own = [replace(one, drivers=drivers.get(_read(one), {})) for one in own]
-            own += self._added(
-                best, element, draws[: _DRAWS // 2], model_error * strength * _normal(_DRAWS // 2, random)
-            )
+            errors = model_error * strength * _normal(_DRAWS // 2, random)
+            own += self._added(best, element, draws[: _DRAWS // 2], errors)
             own = own or self._apart(before, after, element)
-            changes += [replace(one, sentence=told(one, self.problem.pair)) for one in own]
+            changes += [replace(one, sentence=told(one, self.problem.pair, self._largest_force)) for one in own]
             moved = {q: _moved(after, q) for q in _STEADY if q not in {one.quantity for one in own}}
             steady |= {named(element.name, q): most for q, most in moved.items() if most <= _STAYS}
         return Behaviours(sorted(changes, key=_place), steady, curves, PLACES, self.problem.pair)

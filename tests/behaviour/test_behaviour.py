@@ -330,3 +330,11 @@ def test_short_and_long_histories_together_have_the_forces_of_the_closed_form():
                 z = np.sign(change) * strength + (z - np.sign(change) * strength) * np.exp(-model["beta"] * abs(change))
             assert last == pytest.approx(z, rel=1e-4)
         assert np.all(force[np.arange(len(turns)), np.argmax(histories.lengths > 0, axis=1)] == 0)
+
+
+def test_a_strength_beyond_the_measured_forces_is_said_to_be_an_extrapolation():
+    one = Behaviour("strength", "falls", {}, Value(2e5, 1.5e5, 2.5e5), Value(2e4, 1e4, 3e4), "N")
+    plain = "strength falls from 200 to 20 kN (90 %: 10 to 30)"
+    assert told(one, ELONGATION_AND_FORCE) == told(one, ELONGATION_AND_FORCE, 1.9e5) == plain
+    beyond = "; 200 kN is an extrapolation, the largest measured force is 75 kN)"
+    assert told(one, ELONGATION_AND_FORCE, 7.5e4) == plain.removesuffix(")") + beyond

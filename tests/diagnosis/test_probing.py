@@ -70,6 +70,16 @@ def test_a_specimen_that_is_alike_to_both_sides_changes_on_both(lost):
     found = told(law, {"strength_degradation.delta": lost}, {"strength_degradation"})
     (strength,) = (one for one in found.changes if one.quantity == "strength")
     assert (strength.change, strength.sides) == ("falls", "both")
+    assert "extrapolation" not in strength.sentence
+
+
+@pytest.mark.whole
+def test_a_strength_that_no_measured_force_comes_near_is_told_as_an_extrapolation():
+    law = {"spring": "bouc_wen", "parameters": {"A": 1e7, "beta": 50.0, "gamma": 0.0}}
+    found = told(law, {"strength_degradation.delta": 3e-5}, {"strength_degradation"})
+    (strength,) = (one for one in found.changes if one.quantity == "strength")
+    assert strength.before.mean > 1.5e5
+    assert "is an extrapolation, the largest measured force is 80 kN" in strength.sentence
 
 
 @pytest.mark.whole
