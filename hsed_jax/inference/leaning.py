@@ -21,6 +21,8 @@ ANYTHING: Range = (-math.inf, math.inf)
 # As shares of the width of the prior: an estimate on a bound, to the accuracy of a search; and an estimate near a bound, if the
 # posterior reaches the bound within so many of its standard deviations.
 _ON, _NEAR, _REACHES = 1e-4, 0.01, 2.0
+# Number of estimates outside their intervals that are named.
+_NAMED = 3
 # The width of a prior with one bound or none is the width of this central share.
 _WIDTH = 0.9
 
@@ -120,15 +122,25 @@ def caution(
         units: SI units by name.
     """
     said = [_leaning_words(leaning, units)] if leaning else []
-    for name, value in estimates.items():
-        known = posterior[name]
-        # An estimate on a bound, even on a physical limit, lies outside every interval with equal tails.
-        if not known["q05"] <= value <= known["q95"] and not any(touched(priors[name], value, known["sd"])):
-            said.append(
-                f"the most probable {name} = {_quantity(name, value, units)} lies outside its own 90 % interval, "
-                f"{known['q05']:.4g} to {known['q95']:.4g}: the posterior is skewed or has another mode, or its draws miss a part"
-            )
+    # An estimate on a bound, even on a physical limit, lies outside every interval with equal tails.
+    outside = [
+        f"{name} = {_quantity(name, value, units)} ({known['q05']:.4g} to {known['q95']:.4g})"
+        for name, value in estimates.items()
+        if not (known := posterior[name])["q05"] <= value <= known["q95"]
+        and not any(touched(priors[name], value, known["sd"]))
+    ]
+    if outside:
+        said.append(
+            f"the most probable {', '.join(outside[:_NAMED])}{_more(outside)} outside the 90 % interval: the posterior is skewed "
+            "or has another mode, or its draws miss a part"
+        )
     return "; ".join(said) or None
+
+
+def _more(outside: Sequence[str]) -> str:
+    if len(outside) <= _NAMED:
+        return " lies" if len(outside) == 1 else " lie"
+    return f" and the values of {len(outside) - _NAMED} other parameters lie"
 
 
 def _leaning_words(found: Sequence[Leaning], units: Mapping[str, str]) -> str:

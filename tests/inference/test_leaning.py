@@ -78,10 +78,22 @@ def test_an_estimate_outside_its_own_interval_is_said_but_not_one_at_a_limit():
     said = caution((), priors, {"beta": 1089.1, "delta": 0.0}, posterior, {"beta": "1/m"})
     assert said is not None
     assert said.startswith(
-        "the most probable beta = 1089 1/m lies outside its own 90 % interval, 1004 to 1087: the posterior is skewed"
+        "the most probable beta = 1089 1/m (1004 to 1087) lies outside the 90 % interval: the posterior is skewed"
     )
     assert "delta" not in said
     assert caution((), priors, {"beta": 1050.0, "delta": 0.0}, posterior, {}) is None
+
+
+def test_many_estimates_outside_their_intervals_are_one_sentence():
+    names = [f"p{k}" for k in range(6)]
+    priors = {name: Prior("normal", [0.0, 1.0]) for name in names}
+    posterior = {name: {"sd": 0.1, "q05": 0.2, "q95": 0.4} for name in names}
+    said = caution((), priors, dict.fromkeys(names, 0.0), posterior, {})
+    assert said is not None
+    assert said.startswith(
+        "the most probable p0 = 0 (0.2 to 0.4), p1 = 0 (0.2 to 0.4), p2 = 0 (0.2 to 0.4) and the values of 3 other parameters "
+        "lie outside the 90 % interval"
+    )
 
 
 # --- a specimen that its priors exclude ----------------------------------------------------------------------------------
