@@ -660,6 +660,32 @@ def test_an_effect_whose_forms_all_diverge_stops_no_search():
     assert search.best == {"effect_2"}
 
 
+@pytest.mark.whole
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("where", ["half of the space", "some experiments", "speckles"])
+def test_a_search_ends_wherever_the_simulations_diverge(where, seed):
+    random = np.random.default_rng(seed)
+    some, along = 2 + random.choice(K, 4, replace=False), random.standard_normal(2 + K)
+
+    class Diverging(Dictionary):
+        def __call__(self, thetas, rows, samples=None):
+            outputs, ok = super().__call__(thetas, rows, samples)
+            diverges = {
+                "half of the space": thetas @ along > 1.0,
+                "some experiments": (np.asarray(rows) % 3 == 0) & thetas[:, some].any(axis=1),
+                "speckles": (np.abs(np.sin(1e3 * thetas @ along)) > 0.9) & thetas[:, 2:].any(axis=1),
+            }[where]
+            return outputs * ~diverges[:, None], ok * ~diverges
+
+    values = np.einsum("k,knj->nj", np.eye(2 + K)[4] * 0.5, FUNCTIONS)
+    measured = measured_of(values + SIGMA * random.standard_normal((N, J)))
+    search = Search(NestedModels(Diverging(FUNCTIONS), BOX, np.zeros(2 + K)), measured, LAW, FORMS, lambda fit: False)
+    search.start()
+    search.run()
+    assert 0.99 < sum(model.probability for model in search.all()) < 1.01
+    assert np.isfinite(search.model(search.best).fit.cost)
+
+
 def test_where_the_model_is_wrong_the_form_is_the_one_that_predicts():
     # One form is stronger in the one experiment where it is there, and says nothing of any other.
     functions, values = one_everywhere_and_one_once(0.8, 1.8)
