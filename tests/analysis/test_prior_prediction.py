@@ -68,6 +68,7 @@ def test_no_simulation_within_the_priors_is_closer_than_is_said(weak):
             assert np.sqrt(np.mean((z[::50] - force) ** 2)) / np.std(force) > reach.error
 
 
+@pytest.mark.whole
 def test_check_says_it_in_one_sentence_each(tmp_path, capsys):
     write_campaign(spring_campaign(0.0), tmp_path / "springs")
     content = spring_study().written() | {"experiments": {"campaign": "springs"}}

@@ -72,6 +72,7 @@ def test_of_a_straight_line_it_is_that_of_the_textbook(study):
     assert found.lost[2] > 5 * max(found.lost[:2])
 
 
+@pytest.mark.whole
 def test_check_says_it_in_a_sentence_and_a_table(study, tmp_path, capsys):
     write_campaign(campaign_at(X), tmp_path / "old")
     assert main(["check", study.file, "--trust", "--worth", str(tmp_path / "old")]) == 0

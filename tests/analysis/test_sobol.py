@@ -44,6 +44,7 @@ def test_indices_are_those_of_the_analytic_function(observed):
     assert found.simulations == 2048 * 5
 
 
+@pytest.mark.whole
 def test_intervals_cover_as_often_as_they_say():
     covered = []
     for seed in range(16):
@@ -119,6 +120,7 @@ def test_over_all_pulses_the_phase_hardly_matters_and_the_number_of_oscillations
     assert float(energy["total_order_low"]) > 0.1
 
 
+@pytest.mark.whole
 def test_an_input_and_a_parameter_of_one_name_are_told_apart():
     words = [*pulse([1.8, 2.2], [0.0, 0.2]), "model.parameters.gamma={uniform: [0.0, 0.1]}", "excitation.duration=2.0"]
     found = hx.sensitivity(hx.load_study(PAPER, words), samples=4)

@@ -425,6 +425,7 @@ def test_a_run_that_names_code_is_not_explored(finished, tmp_path):
 # Commands in processes of their own.
 
 
+@pytest.mark.whole
 def test_a_command_is_followed_to_its_end(tmp_path):
     done, wrong = Job(["effects", "gap"], tmp_path), Job(["run", "missing.yaml"], tmp_path)
     assert (done.wait(60), wrong.wait(60)) == (0, 2)

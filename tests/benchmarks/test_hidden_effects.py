@@ -271,6 +271,7 @@ def test_the_table_counts_false_alarms_and_errors_that_rise():
     assert "g: gap (same)" in table(rows, "formula")
 
 
+@pytest.mark.whole
 def test_the_hidden_specimen_and_the_package_answer_the_same_numerical_experiments_alike():
     visited = Range(0.2 * np.linspace(0, 1, 13) * (-1.0) ** np.arange(13), 1.0)
     case = Case("component", (("stiffness_degradation", "same"),), 0.1, 0.02, 6, 4, 5)

@@ -70,6 +70,7 @@ def test_the_difference_is_that_of_two_least_squares_fits():
     assert summary["p_value"] == found.p_value and summary["sentence"] == found.sentence
 
 
+@pytest.mark.whole
 def test_outputs_with_one_set_of_parameters_agree():
     assert not any(judged(measured((1.0, 2.0), (1.0, 2.0), seed, noise=1.0)) for seed in range(40))
 

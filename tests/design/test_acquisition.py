@@ -146,6 +146,7 @@ def test_gradient_of_the_improvement_is_finite_at_a_tested_point():
     assert np.all(np.isfinite(gradient))
 
 
+@pytest.mark.whole
 def test_improvement_is_over_the_largest_mean_not_the_largest_datum():
     model = condition(
         *map(

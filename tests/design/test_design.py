@@ -226,6 +226,7 @@ def test_planned_experiments_never_close_all_candidates_and_few_of_them_are_used
     assert not too_near(few[:1], few[:1] + 1e-3, 40, np.zeros(1, bool)).any()
 
 
+@pytest.mark.whole
 def test_a_drift_is_told_from_experiments_that_crowd(toy):
     # y = 2 + a + b/2 and a bump that the model does not know: a crowd there moves the estimates, a grid does not.
     design = toy(size=32)

@@ -106,6 +106,7 @@ def test_means_at_tested_points_equal_predictions_there():
     assert np.all(means[20:] == -np.inf)
 
 
+@pytest.mark.whole
 def test_chunks_do_not_show():
     x, y = training_set()
     model = conditioned(x, y)

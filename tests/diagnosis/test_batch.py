@@ -195,6 +195,7 @@ def three_windows():
 THETAS = np.asarray([[2.0e7, 200.0], [1.5e7, 250.0]])
 
 
+@pytest.mark.whole
 def test_windows_of_one_record_have_one_simulation():
     """As far as the last of them needs it; each window gives what it gives alone."""
     built, data = three_windows()

@@ -144,6 +144,7 @@ def test_the_table_has_every_number_with_its_unit():
     assert "| SeismoStruct | bl_kin | K0 | 2000000 | N/m |" in table and "| bl_kin | r | 0.04 | 1 |" in table
 
 
+@pytest.mark.whole
 def test_the_command_writes_the_numbers_of_a_run(tmp_path, capsys):
     run = run_folders.write(tmp_path / "run")
     study = yaml.safe_load((run / "study.yaml").read_text(encoding="utf-8"))

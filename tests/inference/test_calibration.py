@@ -250,6 +250,7 @@ def test_a_relative_error_of_a_quantity_is_one_of_its_logarithm(observed):
     assert float(found.covariance[0, 0]) == pytest.approx((mode * sd) ** 2 / 3, rel=1e-2)
 
 
+@pytest.mark.whole
 def test_a_relative_error_of_what_was_measured_is_gaussian_of_a_given_scale():
     # y = θ x + s y ε and a history y = θ x + s RMS(y) ε: least squares whose weights do not depend on θ.
     x, y, s = np.array([1.0, 2.0, 3.0]), np.array([1.3, 1.7, 4.1]), 0.1
@@ -388,6 +389,7 @@ def test_uniform_priors_and_a_linear_model_give_the_gaussian_integral(observed):
     observed("linear model, uniform priors: log evidence", "closed form", float(found.log_evidence) - evidence, 0.1)
 
 
+@pytest.mark.whole
 @pytest.mark.verification("inference")
 def test_lognormal_prior_of_a_stiffness_is_as_good_as_any(observed):
     priors = {"A": Prior("lognormal", [13.0, 0.4]), "beta": Prior("half_normal", 2.0)}

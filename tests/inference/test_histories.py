@@ -405,6 +405,7 @@ def pulse_velocity(t, V_P, T_P, gamma=2.0, nu=0.10):
     return np.where((t >= 0) & (t <= gamma * T_P), v, 0.0)
 
 
+@pytest.mark.whole
 def test_pulse_drives_records_without_a_ground_acceleration():
     V_P, T_P = 2.0, 0.9
     time = np.linspace(0, 5, 501)

@@ -276,6 +276,7 @@ def test_a_few_draws_are_left_to_nuts():
     assert chains.sampler == "nuts" and chains.theta.shape == (1, 3, 2)
 
 
+@pytest.mark.whole
 def test_the_worth_of_weights_is_what_their_mean_scatters_by():
     posterior, data, maximum = ridge(0.2)
     constrained, means, worths, counts = jax.jit(jax.vmap(posterior.constrain)), [], [], []

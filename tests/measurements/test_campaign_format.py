@@ -127,6 +127,7 @@ def campaigns(draw):
     return campaign
 
 
+@pytest.mark.whole
 @given(campaigns())
 @quick
 def test_what_is_written_is_read_back_identically(campaign):

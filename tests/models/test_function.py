@@ -173,6 +173,7 @@ def test_a_failing_call_is_a_simulation_that_diverged_and_is_told_once(caplog):
     assert "mine.py:f failed" in message and "ValueError: beyond one" in message
 
 
+@pytest.mark.whole
 def test_histories_of_short_and_long_records_calibrate_a_plain_function(folder):
     rng, noise = np.random.default_rng(0), Noise(absolute=5.0)
     channels = {
@@ -357,6 +358,7 @@ def test_specimens_have_no_model_of_their_own_beside_a_function(folder):
         Built(study).check()
 
 
+@pytest.mark.whole
 def test_a_report_executes_nothing(folder, tmp_path):
     study = study_of(folder, ["calibration.sampler=laplace", "model.function=mine.py:plain"])
     run = hx.run(study, tmp_path / "run", progress=False, figures=False)

@@ -118,6 +118,7 @@ def test_an_oscillator_on_a_law_converges(law, observed):
     )
 
 
+@pytest.mark.whole
 @pytest.mark.verification("convergence")
 def test_the_frame_of_the_paper_converges(paper_simulator, observed):
     simulator = paper_simulator(excitation=None, effects=("stiffness_degradation",), timeline=Timeline(None, FINEST))

@@ -340,6 +340,7 @@ def test_tiled_map_leaves_out_the_tiles_beyond_the_count():
 # --- histories ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.whole
 def test_histories_start_at_zero_and_agree_with_the_continuous_peaks(paper_simulator, pulse_conditions):
     names = ("elongation", "elongation_rate", "force", "energy", "displacement_1", "velocity_2", "acceleration_2")
     names = (*names, "acceleration_2_absolute", "ground_acceleration")
@@ -395,6 +396,7 @@ def on_record(paper_simulator):
 PULSE = NearFaultPulse(2.25, 1.0)
 
 
+@pytest.mark.whole
 def test_tabulated_pulse_equals_rotating_pulse(on_record, paper_simulator, pulse_conditions):
     h = np.full(640, 1 / 64)
     tabulated = on_record(on_half_steps(PULSE, h), h)

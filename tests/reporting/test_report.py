@@ -98,6 +98,7 @@ def test_a_hardening_below_zero_is_said_to_be_a_softening(tmp_path):
     assert "softening" not in report_page(read_run(write(tmp_path / "plain")))
 
 
+@pytest.mark.whole
 def test_the_error_of_each_output_is_shown_where_the_error_over_all_hides_it(tmp_path):
     def change(found):
         for comparison, errors in (
@@ -495,6 +496,7 @@ def test_the_worst_experiment_is_shown_first_and_another_one_changes_the_plot(op
     assert heard == []
 
 
+@pytest.mark.whole
 def test_the_experiment_can_be_chosen_with_the_keyboard_alone(opened):
     page, _, _ = opened()
     page.focus("#next")
@@ -525,6 +527,7 @@ def test_the_residual_is_shown_along_what_the_reader_chooses(opened):
     assert heard == []
 
 
+@pytest.mark.whole
 def test_the_time_axes_zoom_together_and_the_pointer_tells_the_values(opened):
     page, heard, _ = opened()
     cells = page.locator("#chart-histories svg [class*=voronoi]").first

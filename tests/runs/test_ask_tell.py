@@ -162,6 +162,7 @@ def test_what_an_experiment_is_expected_to_teach_is_said_in_words():
     assert odds(40.0) == "more than a million to 1"
 
 
+@pytest.mark.whole
 def test_a_request_tells_all_that_a_laboratory_needs(tmp_path, recorded):
     study = load_study(WITH_RECORDS | {"design": STUDY["design"] | {"limits": {"stroke": 0.6}}})
     with AskTell(study, tmp_path / "run") as design:

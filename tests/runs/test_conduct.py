@@ -175,6 +175,7 @@ def test_more_experiments_than_planned_find_room(begin, built):
 # What may be asked.
 
 
+@pytest.mark.whole
 def test_a_limit_keeps_the_design_where_the_response_stays_below_it(built, tmp_path):
     free = Built(load_study(STUDY))
     study = load_study(STUDY | {"design": STUDY["design"] | {"limits": {"stroke": 0.35}}})

@@ -205,6 +205,7 @@ def formula(t, amplitudes=(0.01, 0.025, 0.004), rate=0.05, cycles=3):
     raise ValueError
 
 
+@pytest.mark.whole
 def test_cycles_are_sines_whose_reversals_are_ends_of_steps():
     n = 6
     line = Timeline(None, n * PROTOCOL.branches)

@@ -118,6 +118,7 @@ def test_two_specimens_are_those_of_another_integrator():
         assert response.quantities[f"{owner}.peak_elongation"] == pytest.approx(np.abs(elongation).max(), rel=1e-3)
 
 
+@pytest.mark.whole
 def test_a_specimen_that_is_elastic_is_a_linear_spring():
     spring = histories(
         frame((Spring((0, 1), SECOND["A"]),), BETWEEN[:1], FIRST["A"]), FIRST | {"gamma": 0.0, "n": 1.0}, ("force",)
