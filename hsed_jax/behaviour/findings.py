@@ -185,7 +185,7 @@ def told(one: Behaviour, pair: Pair, largest: float = math.inf) -> str:
     Arguments:
         one: the behaviour.
         pair: that the specimen is measured in.
-        largest: measured force, SI.  A strength far beyond it is said to be an extrapolation.
+        largest: the largest measured force, SI.  A strength far beyond it is said to be an extrapolation.
     """
     words = QUANTITIES[one.quantity][0]
     side = "" if one.sides == "both" else f" in {one.sides}"
@@ -194,12 +194,10 @@ def told(one: Behaviour, pair: Pair, largest: float = math.inf) -> str:
     number = lambda value: f"{value / divisor:.3g}"  # noqa: E731
     by = f" with {DRIVERS[next(iter(one.drivers))]}" if one.drivers else ""
     unit_text = f" {shown}" if shown else ""
-    interval = f"90 %: {number(one.after.q05)} to {number(one.after.q95)}"
-    most = max(one.before.mean, one.after.mean)
+    most, beyond = max(one.before.mean, one.after.mean), ""
     if one.quantity == "strength" and most > _BEYOND * largest:
-        measured = f"the largest measured force is {number(largest)}{unit_text}"
-        interval += f"; {number(most)}{unit_text} is an extrapolation, {measured}"
-    interval = f"({interval})"
+        beyond = f"; {number(most)}{unit_text} is an extrapolation, the largest measured force is {number(largest)}{unit_text}"
+    interval = f"(90 %: {number(one.after.q05)} to {number(one.after.q95)}{beyond})"
     if one.quantity == "elastic_force":
         return f"{owner}{words} of {number(one.after.mean)}{unit_text} is added at the largest elongation {interval}"
     if one.change == "is there":

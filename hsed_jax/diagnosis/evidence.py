@@ -20,7 +20,7 @@ from scipy.special import log_ndtr
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.fit_state import FitState, Target
 from hsed_jax.diagnosis.nested import NestedModels
-from hsed_jax.inference.importance import Proposal, flattened, weigh
+from hsed_jax.inference.importance import Proposal, weigh
 
 _FLOOR = 1e-6
 # With fewer effective draws than this, even after the weights are flattened, a sample gives no interval.
@@ -127,9 +127,7 @@ def sample_posterior(fit: FitState, models: NestedModels, target: Target, draws:
         return log_densities
 
     found = weigh(log_density, proposal, draws + 40 * len(fit.free), np.random.default_rng(seed))
-    with np.errstate(divide="ignore"):
-        weights = flattened(np.log(found.weights), len(fit.free))
-    points = found.points
+    weights, points = found.flattened().weights, found.points
     if not 1 / np.sum(weights**2) > _TELLING or not np.isfinite(found.log_evidence):
         # With many active bounds hardly any draw is within all of them.  Clipped draws of the first proposal replace the draws.
         points = np.clip(proposal.draw(np.random.default_rng(seed), draws), low, high)

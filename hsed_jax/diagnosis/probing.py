@@ -71,7 +71,7 @@ class Probe:
         forces = [channels["force"] for channels in records if "force" in channels]
         if not forces or len(self.simulator.elements) > 1:
             return math.inf
-        return float(np.nanmax(np.abs(np.concatenate(forces)), initial=0.0))
+        return max(float(np.nanmax(np.abs(force), initial=0.0)) for force in forces)
 
     def called(self, model: Model) -> Set:
         """The effects of a model, named by their behaviour; an effect whose behaviour has no name keeps its own name."""
@@ -106,7 +106,7 @@ class Probe:
         steady: dict[str, float] = {}
         curves: dict[str, ProbedCurve] = {}
         draws = self._drawn(best, sampled)
-        random = np.random.default_rng(self.problem.seed)
+        random, largest = np.random.default_rng(self.problem.seed), self._largest_force
         for element in self.simulator.elements:
             before, after = self._along(plain, element, [self.fitted(plain)]), self._along(best, element, draws)
             law = self._along(best, element, [{**self.fitted(best), **self._without(self._effects(best, element))}])
@@ -128,7 +128,7 @@ class Probe:
             errors = model_error * strength * _normal(_DRAWS // 2, random)
             own += self._added(best, element, draws[: _DRAWS // 2], errors)
             own = own or self._apart(before, after, element)
-            changes += [replace(one, sentence=told(one, self.problem.pair, self._largest_force)) for one in own]
+            changes += [replace(one, sentence=told(one, self.problem.pair, largest)) for one in own]
             moved = {q: _moved(after, q) for q in _STEADY if q not in {one.quantity for one in own}}
             steady |= {named(element.name, q): most for q, most in moved.items() if most <= _STAYS}
         return Behaviours(sorted(changes, key=_place), steady, curves, PLACES, self.problem.pair)

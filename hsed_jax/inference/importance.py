@@ -119,7 +119,7 @@ class Weighted(NamedTuple):
             return None
         what = f"Pareto shape {self.shape:.2f}, effective number {self.worth:.0f} of {len(self.points)} draws"
         if self.flattened().worth > self.worth + 1:
-            what += ", so that the weights are flattened and the intervals are too wide"
+            what += ", so that the weights are flattened and the intervals are approximate"
         if self.missed > _MAY_MISS:
             what = f"{self.missed:.1%} of the steps from its draws end where it has hardly any draws, so a tail is too short"
         return f"importance sampling is unreliable here: {what} (calibration.sampler: nuts does not use it)"

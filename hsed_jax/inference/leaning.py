@@ -130,17 +130,13 @@ def caution(
         and not any(touched(priors[name], value, known["sd"]))
     ]
     if outside:
+        more = f" and {len(outside) - _NAMED} more" if len(outside) > _NAMED else ""
+        lie = "lies" if len(outside) == 1 else "lie"
         said.append(
-            f"the most probable {', '.join(outside[:_NAMED])}{_more(outside)} outside the 90 % interval: the posterior is skewed "
-            "or has another mode, or its draws miss a part"
+            f"the most probable {', '.join(outside[:_NAMED])}{more} {lie} outside the 90 % interval: the posterior is skewed or "
+            "has another mode, or its draws miss a part"
         )
     return "; ".join(said) or None
-
-
-def _more(outside: Sequence[str]) -> str:
-    if len(outside) <= _NAMED:
-        return " lies" if len(outside) == 1 else " lie"
-    return f" and the values of {len(outside) - _NAMED} other parameters lie"
 
 
 def _leaning_words(found: Sequence[Leaning], units: Mapping[str, str]) -> str:

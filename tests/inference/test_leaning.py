@@ -91,7 +91,7 @@ def test_many_estimates_outside_their_intervals_are_one_sentence():
     said = caution((), priors, dict.fromkeys(names, 0.0), posterior, {})
     assert said is not None
     assert said.startswith(
-        "the most probable p0 = 0 (0.2 to 0.4), p1 = 0 (0.2 to 0.4), p2 = 0 (0.2 to 0.4) and the values of 3 other parameters "
+        "the most probable p0 = 0 (0.2 to 0.4), p1 = 0 (0.2 to 0.4), p2 = 0 (0.2 to 0.4) and 3 more "
         "lie outside the 90 % interval"
     )
 
