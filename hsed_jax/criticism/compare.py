@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from hsed_jax.criticism.prediction import HISTORY, Prediction, error_cell, noise_sizes
+from hsed_jax.criticism.prediction import Prediction, error_cell
+from hsed_jax.criticism.shown_noise import HISTORY, largest_noise, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import SIGNIFICANT, estimate_noise, size_p_value
 from hsed_jax.inference.likelihood import whitened
@@ -24,9 +25,6 @@ from hsed_jax.tables import Table, Tabular, cell
 
 # Errors up to this multiple of the noise count as noise for any significance: the size of a noise is not known better.
 _MATERIAL = 1.05
-# Noise that exceeds the noise of its record by this factor would have an autocorrelation of more than 0.93 from sample
-# to sample.
-_MEMORY = 5.0
 _CYCLES = 6  # number of named cycles
 WITHOUT = "coverage_90_without"
 """Coverage of the band without the discrepancy, if one is learned."""
@@ -189,9 +187,9 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
     and kurtosis of the noise (`hsed_jax.inference.correlation.size_p_value`): the noise of a sensor may be autocorrelated
     without an error of the model. Without a declared noise, the size of the residual of a history is not informative. The
     residual is then tested for autocorrelated noise: for whiteness (Ljung & Box 1978 over ten lags) after the removal of a
-    first-order autoregression. This test has little power for a short record. Therefore a residual of more than five times
-    the noise of the record (`noise_sizes`) does not count as noise.  The smallest p of k such (nearly independent) tests
-    counts: $1-(1-p)^k$ (Šidák 1967).
+    first-order autoregression. This test has little power for a short record. Therefore a residual that is larger than
+    the largest noise that the record allows (`largest_noise`) does not count as noise.  The smallest p of k such (nearly
+    independent) tests counts: $1-(1-p)^k$ (Šidák 1967).
     """
     if prediction.diverged.any():
         return 0.0
@@ -211,8 +209,8 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
                 lags += 10
         if lags:
             used = prediction.used[:, columns]
-            noise = noise_sizes(prediction, prediction.outputs[group], declared=False)
-            is_small = _rms(prediction.residual[:, columns][used]) <= _MEMORY * _rms(noise[used])
+            largest = largest_noise(prediction, prediction.outputs[group])
+            is_small = _rms(prediction.residual[:, columns][used]) <= _rms(largest[used])
             values.append(float(chdtrc(lags - 1, statistic)) if is_small else 0.0)
     known = [value for value in values if value is not None]
     if not known:

@@ -1,6 +1,6 @@
 """Predictions of a calibrated model for measured experiments, with bands, beside the measurements."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
+from hsed_jax.criticism.shown_noise import shown_noise
 from hsed_jax.inference.likelihood import Data, data_of
 from hsed_jax.inference.simulations import outputs_of
-from hsed_jax.measurements import Experiment, noise_estimate
+from hsed_jax.measurements import Experiment
 from hsed_jax.programs import program
 from hsed_jax.tables import cell
 
@@ -21,9 +22,6 @@ if TYPE_CHECKING:
     from hsed_jax.inference.fit import Fit
     from hsed_jax.inference.posterior import Posterior
 
-HISTORY = 30
-"""Least number of values of an output for an estimate of an undeclared noise."""
-_SEEN = 8  # least number of samples for an estimate of the noise
 _DRAWS = 64
 _NAMED = 6
 ABSURD = 100.0
@@ -199,7 +197,7 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         # The error of the model widens the band, but does not count as noise.
         factors, whole = fit.inflation[posterior.groups], parts["noise"]
         sigma, noise = sigma / factors, whole / factors
-        shown = _shown(experiments, measured, used, posterior.groups, posterior.outputs)
+        shown = shown_noise(experiments, measured, used, posterior.groups, posterior.outputs)[0]
         noise = np.where(posterior.is_declared[posterior.groups], noise, np.fmin(noise, shown))
         parts |= {"noise": noise, "model": np.sqrt(np.maximum(whole**2 - noise**2, 0.0))}
     return Prediction(
@@ -217,52 +215,6 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
         parts,
         None if fit.discrepancy is None else plain,
     )
-
-
-def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
-    """Sd of the noise of an output, (n, J): declared; or for histories estimated from the non-smooth part of the
-    record, and at most the inferred error, which includes it.
-    """
-    columns = prediction.columns(output)
-    sigma = prediction.sigma[:, columns]
-    if declared:
-        return sigma
-    measured, used = prediction.measured[:, columns], prediction.used[:, columns]
-    one = np.zeros(int(columns.sum()), dtype=int)
-    return np.fmin(_shown(prediction.experiments, measured, used, one, (output,)), sigma)
-
-
-def _shown(
-    experiments: Sequence[Experiment],
-    measured: np.ndarray,
-    used: np.ndarray,
-    groups: np.ndarray,
-    outputs: Sequence[str],
-) -> np.ndarray:
-    """Sd of the noise of each history from its record, (n, J); NaN if it cannot be estimated.
-
-    Where a history is too short, it is the median of the other experiments: one sensor measures all of them.
-    """
-    found = np.full(measured.shape, np.nan)
-    for group in np.unique(groups):
-        (columns,) = np.nonzero(groups == group)
-        if columns.size < HISTORY:
-            continue
-        noises = np.full(len(experiments), np.nan)
-        for row, experiment in enumerate(experiments):
-            if experiment.record is None:
-                continue
-            own = used[row, columns]
-            known = experiment.record.noise.get(outputs[int(group)], np.nan)
-            if np.isnan(known) and own.sum() >= _SEEN:
-                known = noise_estimate(
-                    experiment.record.time[own[: len(experiment.record)]], measured[row, columns][own]
-                )
-            noises[row] = known
-        seen = noises[np.isfinite(noises)]
-        if seen.size:
-            found[:, columns] = np.where(np.isfinite(noises), noises, np.median(seen))[:, None]
-    return found
 
 
 def learned_misfit(fit: "Fit", fitted: Prediction) -> Prediction:

@@ -15,7 +15,8 @@ from jaxtyping import Array, Int
 from hsed_jax.behaviour.histories import Range, range_of
 from hsed_jax.config.schema import ImproveEntry, ScalesEntry, Study
 from hsed_jax.criticism.compare import compare
-from hsed_jax.criticism.prediction import HISTORY, Prediction
+from hsed_jax.criticism.prediction import Prediction
+from hsed_jax.criticism.shown_noise import HISTORY
 from hsed_jax.diagnosis.batch import Batch, Part
 from hsed_jax.diagnosis.box import Box
 from hsed_jax.diagnosis.measured import Measured

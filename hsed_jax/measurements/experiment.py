@@ -7,6 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from hsed_jax.errors import UserError
+from hsed_jax.measurements.noise import RecordNoise
 from hsed_jax.measurements.units import parse_unit
 from hsed_jax.physics.outputs import quantity
 from hsed_jax.plain import MOST, name_fault, shown
@@ -59,7 +60,7 @@ class Channel:
 class Record:
     """A time history: `time` (n,) [s] and `channels`, each (n,) [SI].  The arrays are made read-only.
 
-    `noise` has the standard deviations of channels [SI] that were estimated before samples were left out.
+    `noise` has the noise of channels [SI] that was estimated before samples were left out.
 
     Raises:
         UserError: There are fewer than two samples, the length of a channel differs from that of the time, or a number
@@ -68,7 +69,7 @@ class Record:
 
     time: np.ndarray
     channels: dict[str, np.ndarray]
-    noise: Mapping[str, float] = field(default_factory=dict)
+    noise: Mapping[str, RecordNoise] = field(default_factory=dict)
 
     def __post_init__(self):
         """Freeze the arrays and check their lengths."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hsed_jax.measurements.experiment import Experiment, Record
-from hsed_jax.measurements.noise import noise_estimate
+from hsed_jax.measurements.noise import record_noise
 from hsed_jax.measurements.turns import half_cycles
 
 _EVENLY = 0.2
@@ -76,7 +76,7 @@ def thinned(experiment: Experiment, samples: int) -> Experiment:
     chosen = np.union1d(fixed, np.minimum(evenly, rows - 1)).astype(int)
     # The samples that are left do not resolve the signal, whose curvature would count as noise.
     unknown = {name: values[within] for name, values in record.channels.items() if name not in record.noise}
-    noise = {**record.noise, **{name: noise_estimate(record.time[within], own) for name, own in unknown.items()}}
+    noise = {**record.noise, **{name: record_noise(record.time[within], own) for name, own in unknown.items()}}
     thin = Record(record.time[chosen], {name: values[chosen] for name, values in record.channels.items()}, noise)
     return replace(experiment, record=thin)
 

@@ -5,11 +5,13 @@ import json
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.signal import lfilter
 
 from hsed_jax.criticism.compare import compare, discrepancy_p_value
 from hsed_jax.criticism.prediction import Prediction, error_cell
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Experiment, Record
+from hsed_jax.measurements.noise import record_noise
 
 DECLARED = np.asarray([True])
 
@@ -270,6 +272,21 @@ def test_what_is_many_times_the_noise_of_its_record_is_no_noise_however_short_it
         experiments = [recorded("E01", t, force=measured)]
         found = compare(prediction_of(measured, predicted, 0.1, experiments=experiments), None, ~DECLARED, 2, [])
         assert found.adequate == is_noise and (found.p_value > 0.05 if is_noise else found.p_value == 0)
+
+
+def test_a_misfit_of_twice_the_noise_is_no_noise_if_the_noise_is_white():
+    # A difference with a memory passes the test of whiteness: its autoregression is removed.
+    random, t = np.random.default_rng(18), np.linspace(0, 10, 700)
+    noise = 0.05 * random.standard_normal(700)
+    difference = lfilter([1.0], [1.0, -0.95], 0.03 * random.standard_normal(700))
+    measured = np.sin(t) + noise
+    rows = np.arange(0, 700, 5)
+    thin = Record(t[rows], {"force": measured[rows]}, {"force": record_noise(t, measured)})
+    for predicted, is_noise in ((np.sin(t), True), (np.sin(t) + difference, False)):
+        kept = prediction_of(thin["force"], predicted[rows], 0.1, experiments=[Experiment("E01", record=thin)])
+        assert 1.5 < np.sqrt(np.mean(kept.residual**2)) / 0.05 < 3 or is_noise
+        found = compare(kept, None, ~DECLARED, 2, [])
+        assert found.adequate == is_noise
 
 
 def test_nothing_can_be_said_of_quantities_with_unknown_noise():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from builders.places import DATA
 from builders.records import SIGMA, as_record, clean, in_mm, loop
+from scipy.signal import lfilter
 
 from hsed_jax.command_line import main
 from hsed_jax.errors import UserError
@@ -23,6 +24,7 @@ from hsed_jax.measurements import (
     stop_at_errors,
     write_campaign,
 )
+from hsed_jax.measurements.noise import record_noise
 
 
 def campaign_of(data: dict[str, np.ndarray], noise: bool = True, **quantities: float) -> Campaign:
@@ -216,6 +218,29 @@ def test_noise_estimate(sigma, uneven):
     assert noise_estimate(time, signal) == pytest.approx(sigma, rel=0.08)
     assert noise_estimate(time, time**2) < 1e-9
     assert np.isnan(noise_estimate(time[:7], noise[:7]))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("samples", [100, 700])
+def test_the_largest_noise_of_a_record_is_not_exceeded_by_autocorrelated_noise(rho, samples):
+    random, time = np.random.default_rng(5), np.arange(samples) * 0.01
+    changes = np.sqrt(1 - rho**2) * random.standard_normal((200, samples + 100))
+    noises = lfilter([1.0], [1.0, -rho], changes, axis=1)[:, 100:]
+    found = [record_noise(time, np.sin(2 * time) + noise) for noise in noises]
+    assert np.mean([noise.largest >= 1.0 for noise in found]) > 0.9
+    if rho == 0:
+        # If enough samples show that the noise is white, it is hardly larger than its estimate.
+        assert np.median([noise.largest for noise in found]) < (1.6 if samples == 700 else 6.0)
+    else:
+        assert np.median([noise.size for noise in found]) < 0.7
+
+
+def test_the_largest_noise_of_a_short_or_constant_record():
+    time = np.arange(12.0)
+    short = record_noise(time, np.random.default_rng(0).standard_normal(12))
+    assert short.largest > 4 * short.size > 0  # six samples say nothing about the correlation
+    assert max(record_noise(time, np.ones(12))) < 1e-12
+    assert np.isnan(record_noise(time[:5], np.ones(5))).all()
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured campaigns are not at {DATA}")

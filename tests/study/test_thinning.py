@@ -8,7 +8,7 @@ import pytest
 from builders.misfits import prediction
 
 import hsed_jax as hx
-from hsed_jax.criticism.prediction import noise_sizes
+from hsed_jax.criticism.shown_noise import largest_noise, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
@@ -87,14 +87,15 @@ def test_what_thinning_costs_is_small_and_said():
 def test_the_noise_of_a_thinned_record_is_that_of_all_its_samples():
     experiment = thinned(Experiment("E01", record=long_record()), 200)
     record = experiment.record
-    assert record.noise["force"] == pytest.approx(1e-3 * STRENGTH, rel=0.05)
+    assert record.noise["force"].size == pytest.approx(1e-3 * STRENGTH, rel=0.05)
     # What is left of the samples does not resolve the loops.
-    assert noise_estimate(record.time, record["force"]) > 5 * record.noise["force"]
+    assert noise_estimate(record.time, record["force"]) > 5 * record.noise["force"].size
     values, ones = record["force"][None], np.ones((1, len(record)))
     seen = prediction(("force",), np.zeros(len(record), dtype=int), [experiment], values)
     np.testing.assert_allclose(
-        noise_sizes(seen, "force", declared=False), np.fmin(record.noise["force"], seen.sigma) * ones
+        noise_sizes(seen, "force", declared=False), np.fmin(record.noise["force"].size, seen.sigma) * ones
     )
+    np.testing.assert_allclose(largest_noise(seen, "force"), record.noise["force"].largest * ones)
 
 
 def test_a_short_record_stays_as_it_is():
