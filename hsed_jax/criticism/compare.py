@@ -25,6 +25,9 @@ from hsed_jax.tables import Table, Tabular, cell
 
 # Errors up to this multiple of the noise count as noise for any significance: the size of a noise is not known better.
 _MATERIAL = 1.05
+# No law is exact: an error of this size, relative to the measurements, is not distinguished from noise of unknown size. Two
+# laws of the same steel differ by as much.
+_OF_LAW = 0.02
 _CYCLES = 6  # number of named cycles
 WITHOUT = "coverage_90_without"
 """Coverage of the band without the discrepancy, if one is learned."""
@@ -188,8 +191,8 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
     without an error of the model. Without a declared noise, the size of the residual of a history is not informative. The
     residual is then tested for autocorrelated noise: for whiteness (Ljung & Box 1978 over ten lags) after the removal of a
     first-order autoregression. This test has little power for a short record. Therefore a residual that is larger than
-    the largest noise that the record allows (`largest_noise`) does not count as noise.  The smallest p of k such (nearly
-    independent) tests counts: $1-(1-p)^k$ (Šidák 1967).
+    the largest noise that the record allows (`largest_noise`) and an error of 2 % does not count as noise.  The smallest p
+    of k such (nearly independent) tests counts: $1-(1-p)^k$ (Šidák 1967).
     """
     if prediction.diverged.any():
         return 0.0
@@ -210,7 +213,8 @@ def discrepancy_p_value(prediction: Prediction, declared: np.ndarray, parameters
         if lags:
             used = prediction.used[:, columns]
             largest = largest_noise(prediction, prediction.outputs[group])
-            is_small = _rms(prediction.residual[:, columns][used]) <= _rms(largest[used])
+            limit = np.hypot(_rms(largest[used]), _OF_LAW * _scale(prediction.measured[:, columns][used]))
+            is_small = _rms(prediction.residual[:, columns][used]) <= limit
             values.append(float(chdtrc(lags - 1, statistic)) if is_small else 0.0)
     known = [value for value in values if value is not None]
     if not known:
