@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hsed_jax.behaviour.findings import Behaviours
-from hsed_jax.behaviour.names import RIGHT, right_share
+from hsed_jax.behaviour.names import LATER_FAR, RIGHT, RIGHT_FAR, is_far
 from hsed_jax.criticism.compare import discrepancy_p_value, is_noise
 from hsed_jax.criticism.prediction import Prediction
 from hsed_jax.diagnosis.averaging import averaged
@@ -237,7 +238,7 @@ def stated_probabilities(
     $$P = \sum_M r_M\,p_M\,\Big(1 - \frac{E_M^2 - s^2}{E_0^2 - s^2}\Big)$$
 
     with the errors E of held-out data, of the first model $E_0$, the noise floor s, and the share $r_M$ of right names of models
-    with such an error (`right_share`).  A model whose residual the noise explains leaves nothing.
+    with such an error (`RIGHT`, `RIGHT_FAR`).  A model whose residual the noise explains leaves nothing.
     """
     counted = [m for m in models if m.probability > 0]
     before, *errors = search.unseen([frozenset(), *(m.effects for m in counted)])
@@ -245,7 +246,7 @@ def stated_probabilities(
     for model, error in zip(counted, errors, strict=True):
         name, share, noise = called.get(model.effects, model.effects), RIGHT, problem.train.noise
         if not noise_explains(problem, model.fit):
-            share = right_share(noise, error) * explained_share(noise, before, error)
+            share = (RIGHT_FAR if is_far(noise, error) else RIGHT) * explained_share(noise, before, error)
         stated[name] = stated.get(name, 0.0) + share * model.probability
     return stated
 
@@ -301,8 +302,16 @@ def _ranking(
             )
         )
     # Named effects come first, sorted by the evidence that the model loses without them.
-    return sorted(found, key=lambda c: (c.effect not in best, -c.log_evidence_gain if c.effect in best else -c.probability,
-                                        -c.log_evidence_gain))  # fmt: skip
+    found.sort(key=lambda c: (c.effect not in best, -c.log_evidence_gain if c.effect in best else -c.probability,
+                              -c.log_evidence_gain))  # fmt: skip
+    if (
+        len(best) > 1
+        and is_far(problem.train.noise, found[0].error_test)
+        and not noise_explains(problem, by_set[best].fit)
+    ):
+        further = found[1 : len(best)]
+        found[1 : len(best)] = [replace(c, probability=LATER_FAR / RIGHT_FAR * c.probability) for c in further]
+    return found
 
 
 def _gains(search: Search, models: Sequence[Model]) -> dict[Set, dict[str, float]]:
@@ -373,18 +382,8 @@ def _law(problem: Problem, fit: FitState, sample: Sampled | None) -> dict[str, d
 
 def _prediction(problem: Problem, fit: FitState, sigma: np.ndarray) -> Prediction:
     train = problem.train
-    return Prediction(
-        problem.outputs,
-        train.groups,
-        problem.experiments,
-        train.values,
-        train.used,
-        fit.predicted,
-        fit.predicted,
-        sigma,
-        sigma,
-        np.ones(len(train.values), dtype=bool),
-    )
+    known = problem.outputs, train.groups, problem.experiments, train.values, train.used
+    return Prediction(*known, fit.predicted, fit.predicted, sigma, sigma, np.ones(len(train.values), dtype=bool))
 
 
 def noise_explains(problem: Problem, fit: FitState) -> bool:

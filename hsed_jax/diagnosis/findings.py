@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hsed_jax.behaviour.findings import Behaviours
+from hsed_jax.behaviour.names import is_far
 from hsed_jax.criticism.compare import is_noise
 from hsed_jax.criticism.prediction import Prediction, error_cell, error_change
 from hsed_jax.physics.effects import called
@@ -289,15 +290,12 @@ class Diagnosis(Tabular):
         """The verdict in words."""
         change = error_change(*(error_cell(errors[1]) for errors in (self.error, self.error_after)))
         fall = f"the error on experiments that were not fitted {change}"
-        named = " and ".join(self.called(e) + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects)
         errors = f"error {self.error[0]:.3f}, noise {self.noise_floor:.3f}"
         if self.verdict == "adequate":
             return "nothing is missing that these measurements could show: the noise explains the residual"
         if self.verdict == "undecided":
-            return (
-                "whether anything is missing cannot be said: nothing is known of the noise, and no effect predicts "
-                f"what was not fitted so much better that it need not be (error {self.error[0]:.3f})"
-            )
+            said = "whether anything is missing cannot be said: nothing is known of the noise, and no effect predicts what was"
+            return f"{said} not fitted so much better that it need not be (error {self.error[0]:.3f})"
         if self.verdict == "unexplained" and self.opened and self.is_explained:
             return f"the priors exclude this specimen, and no effect is missing: {self._beyond}; widen them"
         if self.verdict == "unexplained" and self._unnamed:
@@ -307,18 +305,25 @@ class Diagnosis(Tabular):
             return f"the model is wrong, and nothing in the catalogue mends it ({errors})"
         left = ""
         if self.p_value_after is not None and not self.is_explained:
-            left = (
-                f"; what remains ({self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}) is not noise yet"
-            )
+            apart = f"{self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}"
+            left = f"; what remains ({apart}) is not noise yet"
         if self.verdict == "ambiguous":
             rivals = "; ".join(map(" or ".join, self.alternatives))
-            return f"missing is {rivals}, which these measurements cannot tell apart; with {named}, {fall}{left}"
+            return f"missing is {rivals}, which these measurements cannot tell apart; with {self._named}, {fall}{left}"
         alike = "".join(
             f"; {' or '.join(map(self.called, others))} in place of {self.called(first)} differs by less than the noise and is "
             "less probable, but not excluded"
             for first, *others in self.look_alikes
         )
-        return f"missing is {named}: {fall}{left}{alike}"
+        return f"missing is {self._named}: {fall}{left}{alike}"
+
+    @property
+    def _named(self) -> str:
+        """The named effects; far above the noise, those after the first one are less certain (`LATER_FAR`)."""
+        first, *further = (self.called(e) + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects)
+        is_certain = self.is_explained or not is_far(self.noise_floor, self.error_after[1])
+        between = " and " if is_certain else ", and less certainly "
+        return between.join([first, *([" and ".join(further)] if further else [])])
 
     @property
     def _beyond(self) -> str:

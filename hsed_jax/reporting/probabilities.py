@@ -1,10 +1,11 @@
 """Probabilities of effects in tables and figures, and their meaning in words."""
 
-from hsed_jax.behaviour.names import FAR, RIGHT, RIGHT_FAR
+from hsed_jax.behaviour.names import FAR, LATER_FAR, RIGHT, RIGHT_FAR
 
 EXPLAINED = (
-    f"The probability of an effect is at most {RIGHT:g}, and at most {RIGHT_FAR:g} if the error stays above {FAR:g} times the "
-    "noise: of the names with the largest probability, so many are right on specimens whose formula is not in the catalogue."
+    f"The probability of an effect is at most {RIGHT:g}. If the error stays above {FAR:g} times the noise, it is at most "
+    f"{RIGHT_FAR:g}, and {LATER_FAR:g} for the names after the first: of the names with the largest probability, so many are "
+    "right on specimens whose formula is not in the catalogue."
 )
 
 

@@ -36,7 +36,7 @@ from builders.springs import BETA, NOISE, A, C, spring_campaign, spring_study
 from scipy import stats
 
 import hsed_jax as hx
-from hsed_jax.behaviour.names import FAR, RIGHT, RIGHT_FAR, right_share
+from hsed_jax.behaviour.names import FAR, LATER_FAR, RIGHT, RIGHT_FAR, is_far
 from hsed_jax.diagnosis.averaging import averaged
 from hsed_jax.diagnosis.candidates import problem_of
 from hsed_jax.diagnosis.diagnose import _reason, diagnose
@@ -1131,9 +1131,9 @@ def test_a_verdict_that_other_priors_turn_to_another_explanation_is_ambiguous(mo
 
 
 def test_a_name_is_less_probable_where_the_error_stays_far_above_the_noise():
-    assert right_share(0.01, 0.029) == RIGHT and right_share(0.01, 0.031) == RIGHT_FAR
+    assert not is_far(0.01, 0.029) and is_far(0.01, 0.031)
     # Without a noise it is unknown how far an error is above it.
-    assert right_share(0.0, 0.2) == RIGHT
+    assert not is_far(0.0, 0.2)
 
 
 @pytest.mark.whole
@@ -1145,6 +1145,27 @@ def test_what_an_effect_leaves_beside_the_noise_is_not_its_own():
     right = RIGHT_FAR if first.error_test > FAR * found.noise_floor else RIGHT
     assert first.probability == pytest.approx(right * share, rel=0.01)
     assert found.explanations[0].weight == pytest.approx(first.probability)
+
+
+@pytest.mark.whole
+def test_far_above_the_noise_names_after_the_first_one_are_less_certain():
+    """A dashpot, a stiffer spring and a wave in the force, which nothing in the catalogue has."""
+    campaign = spring_campaign(C)
+    for one in campaign:
+        u = one.record["elongation"]
+        beside = 0.3 * A * u + 6 * NOISE * np.sin(2 * np.pi * u / 0.004)
+        record = hx.Record(one.record.time, {"elongation": u, "force": one.record["force"] + beside})
+        campaign = campaign.update(replace(one, record=record))
+    found = diagnose(problem_of(Built(spring_study(), campaign), campaign, ["viscous_damping", "hardening"]))
+    first, further = found.ranking
+    assert set(found.effects) == {"viscous_damping", "hardening"} and is_far(found.noise_floor, found.error_after[1])
+    assert further.probability == pytest.approx(LATER_FAR / RIGHT_FAR * first.probability, rel=1e-6)
+    assert (
+        f"missing is {found.called(first.effect)}, and less certainly {found.called(further.effect)}: "
+        in found.sentence
+    )
+    sure = replace(found, noise_floor=0.5 * found.error_after[1])
+    assert f"missing is {found.called(first.effect)} and {found.called(further.effect)}: " in sure.sentence
 
 
 def test_an_ambiguous_diagnosis_says_how_far_its_explanations_differ(damped):
