@@ -242,10 +242,11 @@ def stated_probabilities(
     """
     counted = [m for m in models if m.probability > 0]
     before, *errors = search.unseen([frozenset(), *(m.effects for m in counted)])
+    may_be_noise = search.by_evidence  # if not what the best fit leaves, then not what a worse one leaves
     stated: dict[Set, float] = {}
     for model, error in zip(counted, errors, strict=True):
         name, share, noise = called.get(model.effects, model.effects), RIGHT, problem.train.noise
-        if not noise_explains(problem, model.fit):
+        if not (may_be_noise and noise_explains(problem, model.fit)):
             share = (RIGHT_FAR if is_far(noise, error) else RIGHT) * explained_share(noise, before, error)
         stated[name] = stated.get(name, 0.0) + share * model.probability
     return stated
