@@ -320,10 +320,10 @@ class Diagnosis(Tabular):
     @property
     def _named(self) -> str:
         """The named effects; far above the noise, those after the first one are less certain (`LATER_FAR`)."""
-        first, *further = (self.called(e) + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects)
+        names = [self.called(e) + (f" ({self.forms[e]})" if e in self.forms else "") for e in self.effects]
         is_certain = self.is_explained or not is_far(self.noise_floor, self.error_after[1])
-        between = " and " if is_certain else ", and less certainly "
-        return between.join([first, *([" and ".join(further)] if further else [])])
+        first, further = (names, []) if is_certain else (names[:1], names[1:])
+        return ", and less certainly ".join(" and ".join(group) for group in (first, further) if group)
 
     @property
     def _beyond(self) -> str:
