@@ -298,11 +298,11 @@ class Diagnosis(Tabular):
             return f"{said} not fitted so much better that it need not be (error {self.error[0]:.3f})"
         if self.verdict == "unexplained" and self.opened and self.is_explained:
             return f"the priors exclude this specimen, and no effect is missing: {self._beyond}; widen them"
+        larger = f"the residual is larger than the noise ({errors}), and no effect"
         if self.verdict == "unexplained" and self._unnamed:
-            first = self._unnamed[0]
-            return f"the model is wrong, and no effect is named ({errors}); {first.called} {self._instead(first)}"
+            return f"{larger} is named; {self._unnamed[0].called} {self._instead(self._unnamed[0])}"
         if self.verdict == "unexplained":
-            return f"the model is wrong, and nothing in the catalogue mends it ({errors})"
+            return f"{larger} of the catalogue explains it"
         left = ""
         if self.p_value_after is not None and not self.is_explained:
             apart = f"{self.error_after[0]:.3f} against a noise of {self.noise_floor:.3f}"

@@ -1104,7 +1104,7 @@ def test_a_likely_effect_that_is_not_named_is_mentioned_with_its_reason(damped):
     likely = replace(damped.ranking[0], error_test=0.6, reason="its simulation is slow")
     found = replace(damped, verdict="unexplained", effects=[], ranking=[likely], error_after=(0.7, 0.668))
     said = "viscous_damping lowers the held-out error from 0.668 to 0.600, not named because its simulation is slow"
-    assert said in found.sentence and "nothing in the catalogue" not in found.sentence
+    assert said in found.sentence and "of the catalogue explains" not in found.sentence
     assert said in repr(found) and said in found.summary()["notes"]
     assert found.summary()["ranking"][0]["reason"] == "its simulation is slow"
     assert "reason" not in damped.summary()["ranking"][0] and all(c.reason is None for c in damped.ranking[:1])
@@ -1181,7 +1181,7 @@ def test_an_ambiguous_diagnosis_says_how_far_its_explanations_differ(damped):
 def test_what_the_catalogue_cannot_mend_is_unexplained():
     found = diagnosed(C, effects=["asymmetry"])
     assert found.verdict == "unexplained" and found.effects == []
-    assert "nothing in the catalogue mends it" in found.sentence
+    assert "no effect of the catalogue explains it" in found.sentence
 
 
 KEYS = {"verdict", "effects", "ranking", "look_alikes"}
