@@ -60,6 +60,9 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
 
     problem = problem_with(campaign)
     found = diagnosing.diagnose(problem, watch.report, watch.lead)
+    if found.verdict == "unexplained" and found.is_explained and compare(calibration).adequate:
+        # The noise explains the residual with the bounds and without them: the bounds exclude nothing that the data show.
+        found = replace(found, verdict="adequate")
     return over_specimens(found, problem, problem_with, built, campaign, watch.report)
 
 
