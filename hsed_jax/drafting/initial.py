@@ -139,7 +139,7 @@ def _spring(campaign: Campaign, stiffness: _Guess, strength: _Guess, frame: Fram
             "    # within a factor of 4 with 95 %",
             f"    F_y: {{lognormal: [{math.log(strength.value):.3f}, 0.7]}}",
             "    b: {uniform: [0.0, 0.2]}                # stiffness after yielding over initial stiffness",
-            "    R0: {lognormal: [2.7, 0.7]}             # sharpness of the first yielding: 15, within a factor of 4 with 95 %",
+            "    R0: {truncated_normal: {loc: 15.0, scale: 20.0, low: 1.0, high: 200.0}}  # sharpness of the first yielding",
             "    cR1: {uniform: [0.0, 0.97]}             # the share of the sharpness that plastic excursions take",
             "    cR2: 0.15                               # the value of most studies",
             *_effects(frame),
