@@ -20,6 +20,7 @@ from hsed_jax.diagnosis.candidates import problem_of, with_effects
 from hsed_jax.diagnosis.findings import Diagnosis
 from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target, Task
 from hsed_jax.diagnosis.problem import Problem
+from hsed_jax.diagnosis.score import largest_alike
 from hsed_jax.drafts import write_whole
 from hsed_jax.errors import UserError
 from hsed_jax.inference.expansion import expand
@@ -209,8 +210,7 @@ def improve(
         calibration = replace(calibration, built=_with_files(calibration.built, own_effects))
     if not effects:
         raise UserError("there is no effect to add; name at least one (hsed effects lists the catalogue)")
-    study = with_effects(calibration.built, effects, forms)
-    study = study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
+    study = _improved(calibration.built, effects, forms)
     watch = watch or Watch()
     watch.report("the model with the effects")
     forms = {effect: default_form(calibration.built.mechanics.catalogue[effect]).label for effect in effects} | dict(
@@ -253,23 +253,46 @@ def improve(
             [(problem.point(start), with_first(len(effects)))], np.arange(len(train.values))
         )
         target = train.standard(found_there[0], train.used[None]).target if ok.all() else target
-    steps, fit = [step_of([], before, calibration.map)], plain
+    steps, fits = [step_of([], before, calibration.map)], [plain]
     for count in range(1, len(effects) + 1):
         known_there = start if count == len(effects) else None
-        fit = _best(problem, target, with_first(count), places[count - 1].columns, fit.x, known_there)
-        steps.append(_between(problem, fit, effects[:count]))
-    built = Built(study, calibration.built.campaign)
-    # An improvement reports its error.  Chains of a model with so many parameters take minutes: the study that is
-    # written has them when it is run.
-    settings = built.inference.settings
-    if settings.sampler == "auto":
-        settings = settings._replace(sampler="importance", draws=min(settings.draws, _DRAWS))
-    start_at = _parameters(problem, fit, built)
-    # The search, and the fit of each step, have already searched for other modes.
-    better = calibrate_built(built, campaign, start=start_at, starts=1, watch=watch, settings=settings)
-    after = compare(better)
-    steps[-1] = step_of(effects, after, better.map)
-    return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))
+        fits.append(_best(problem, target, with_first(count), places[count - 1].columns, fits[-1].x, known_there))
+        steps.append(_between(problem, fits[-1], effects[:count]))
+    while True:
+        built = Built(study, calibration.built.campaign)
+        # An improvement reports its error.  Chains of a model with so many parameters take minutes: the study that is
+        # written has them when it is run.
+        settings = built.inference.settings
+        if settings.sampler == "auto":
+            settings = settings._replace(sampler="importance", draws=min(settings.draws, _DRAWS))
+        start_at = _parameters(problem, fits[len(steps) - 1], built)
+        # The search, and the fit of each step, have already searched for other modes.
+        better = calibrate_built(built, campaign, start=start_at, starts=1, watch=watch, settings=settings)
+        after = compare(better)
+        steps[-1] = step_of(steps[-1].effects, after, better.map)
+        if not _is_worse(steps, after):
+            return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))
+        # The diagnosis has judged a thinned record.
+        (*kept, dropped), error = steps[-1].effects, steps.pop().error_test
+        notes.append(
+            f"{dropped} is not added: the error on experiments that were not fitted is {error:.3f} with it and "
+            f"{steps[-1].error_test:.3f} without it"
+        )
+        study = _improved(calibration.built, kept, {effect: forms[effect] for effect in kept})
+
+
+def _improved(built: Built, effects: Sequence[str], forms: Mapping[str, str] | None) -> Study:
+    """The study with effects in its model, under the name of an improved one."""
+    study = with_effects(built, effects, forms)
+    return study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
+
+
+def _is_worse(steps: Sequence[Step], after: Comparison) -> bool:
+    """Whether the last of several effects raises the error on experiments that were not fitted materially."""
+    errors = [step.error_test for step in steps if step.error_test is not None]
+    if len(errors) < 3 or after.test is None:
+        return False
+    return errors[-1] > largest_alike(after.test.noise_floor, errors[0], errors[-2])
 
 
 def _with_files(built: Built, files: Sequence[str | Path]) -> Built:

@@ -25,10 +25,15 @@ SMALL = {"starts": 1, "chains": 2, "warmup": 10, "draws": 20}
 
 def stiffened(campaign: Campaign) -> Campaign:
     """The same springs, each with a linear one beside it."""
+    return loaded(campaign, lambda experiment: HARDENING * experiment.record["elongation"])
+
+
+def loaded(campaign: Campaign, force) -> Campaign:
+    """The same springs, each with a force beside it, which is a function of the experiment."""
     experiments = []
     for e in campaign.experiments:
         channels = dict(e.record.channels)
-        channels["force"] = channels["force"] + HARDENING * channels["elongation"]
+        channels["force"] = channels["force"] + force(e)
         experiments.append(Experiment(e.id, record=Record(e.record.time, channels), split=e.split))
     return Campaign("springs", "displacement", {}, campaign.channels, {}, tuple(experiments))
 
@@ -128,6 +133,20 @@ def test_parameters_of_law_and_effects_are_the_true_ones(better):
         summary = better.calibration.fit.summary()[name]
         # Between 24 samples per cycle the model's rate is that of an interpolant: 3 % of the damping.
         assert abs(better.calibration.map[name] - value) < 4 * summary["sd"] + 0.03 * value, name
+
+
+def test_an_effect_that_predicts_worse_is_not_added():
+    """An offset of the force in the fitted tests alone: the model with it is right there, and wrong in the held-out test."""
+    campaign = loaded(spring_campaign(C), lambda experiment: 20e3 if experiment.split == "train" else 0.0)
+    calibration = hx.calibrate(small_study(), campaign)
+    found = hx.improve(calibration, effects=["viscous_damping", "force_offset"])
+    first, last = found.trail.steps
+    assert last.effects == ["viscous_damping"] == list(found.study.model.effects)
+    assert last.error_test == found.after.test.error and last.parameters == found.calibration.map
+    (note,) = found.trail.notes
+    assert note.startswith("force_offset is not added: the error on experiments that were not fitted is ")
+    with_it, without = (float(word) for word in note.split() if word.startswith("0."))
+    assert with_it > without and first.error_test > 0
 
 
 def test_the_trail_shows_itself(better):
