@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -97,6 +98,20 @@ def test_what_the_diagnosis_promises_the_improvement_delivers(better, diagnosis)
     assert (last.error_train, last.error_test) == pytest.approx(diagnosis.error_after, rel=0.02)
     first = better.trail.steps[0]
     assert (first.error_train, first.error_test) == pytest.approx(diagnosis.error, rel=0.02)
+
+
+@pytest.mark.parametrize(("adequate", "p_value", "verdict"), [(True, 0.5, "adequate"), (False, 0.5, "unexplained"),
+                                                              (True, 0.0, "unexplained")])  # fmt: skip
+def test_bounds_that_exclude_nothing_make_no_model_wrong(
+    calibration, diagnosis, monkeypatch, adequate, p_value, verdict
+):
+    """The noise explains the residual of the calibrated model with its bounds, and without the one that an estimate is on."""
+    opened = replace(
+        diagnosis, verdict="unexplained", effects=[], p_value_after=p_value, opened={"A": 1.0}, error_after=(9.0, 9.0)
+    )
+    monkeypatch.setattr("hsed_jax.analysis.remedy.diagnosing.diagnose", lambda *_: opened)
+    monkeypatch.setattr("hsed_jax.analysis.remedy.compare", lambda *_: SimpleNamespace(adequate=adequate))
+    assert hx.diagnose(calibration).verdict == verdict
 
 
 def test_a_diagnosis_says_all_that_an_improvement_needs(calibration, diagnosis):
