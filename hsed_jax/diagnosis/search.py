@@ -32,7 +32,7 @@ from hsed_jax.errors import UserError
 MOST_EFFECTS = 4
 # A p-value of the score tests below this level (for all candidates) continues a search even if the noise explains the residual.
 _STRICT = 1e-3
-# The squared noise may be below its expectation by this many standard deviations.
+# The squared noise may differ from its expectation by this many standard deviations.
 _DEVIATIONS = 3.0
 # Number of sets that are scored, the ones with the largest evidence, and number of forms of each.
 _POOL, _FORMS = 6, 2
@@ -192,14 +192,14 @@ class Search:
         """The smallest set with the least test error, up to what is not material.
 
         The choice is made last and between all fitted sets: what describes the fitted experiments best may predict others badly.
-        The best set stays if its squared error is larger by at most `scatter`.  If the noise explains the best set, the evidence
-        is exact, and only the sets of the path are compared with it.
+        The best set stays if its squared error is larger by at most three times `scatter`.  If the noise explains the best set,
+        the evidence is exact, and only the sets of the path are compared with it.
         """
         is_noise = self._is_explained(self._fits.best(self.best))
         sets = self.path if is_noise else [*self.path, *(m.effects for m in self.all() if self._is_supported(m))]
         unseen = dict(zip(sets, self.unseen(sets), strict=True))
         limit = largest_alike(self.measured.noise, unseen[Set()], min(unseen.values()))
-        stays = is_noise or unseen[self.best] ** 2 <= min(unseen.values()) ** 2 + scatter
+        stays = is_noise or unseen[self.best] ** 2 <= min(unseen.values()) ** 2 + _DEVIATIONS * scatter
         alike = [s for s, error in unseen.items() if error <= limit or (stays and s == self.best)]
         return min(alike, key=lambda s: (len(s), stays and s != self.best, -self.model(s).probability, unseen[s]))
 
