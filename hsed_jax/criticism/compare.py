@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from hsed_jax.criticism.prediction import Prediction, error_cell
-from hsed_jax.criticism.shown_noise import HISTORY, largest_noise, noise_sizes
+from hsed_jax.criticism.prediction import Prediction, error_cell, largest_noise, noise_sizes
+from hsed_jax.criticism.shown_noise import HISTORY
 from hsed_jax.errors import UserError
 from hsed_jax.inference.correlation import SIGNIFICANT, estimate_noise, size_p_value
 from hsed_jax.inference.likelihood import whitened

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hsed_jax.criticism.prediction import Prediction
-from hsed_jax.criticism.shown_noise import noise_sizes
+from hsed_jax.criticism.prediction import Prediction, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign, Experiment, Record
 from hsed_jax.measurements.turns import branches, cycle_numbers, frequencies, half_cycles

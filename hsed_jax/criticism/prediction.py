@@ -217,6 +217,27 @@ def predict(fit: "Fit", data: Data, experiments: tuple[Experiment, ...]) -> Pred
     )
 
 
+def noise_sizes(prediction: Prediction, output: str, declared: bool) -> np.ndarray:
+    """Sd of the noise of an output, (n, J): declared; or for histories estimated from the non-smooth part of the
+    record, and at most the inferred error, which includes it.
+    """
+    sigma = prediction.sigma[:, prediction.columns(output)]
+    return sigma if declared else np.fmin(_shown_by(prediction, output)[0], sigma)
+
+
+def largest_noise(prediction: Prediction, output: str) -> np.ndarray:
+    """The largest sd of an undeclared noise that the records allow, (n, J); infinite if they do not show it."""
+    largest = _shown_by(prediction, output)[1]
+    return np.where(np.isnan(largest), np.inf, largest)
+
+
+def _shown_by(prediction: Prediction, output: str) -> np.ndarray:
+    columns = prediction.columns(output)
+    measured, used = prediction.measured[:, columns], prediction.used[:, columns]
+    one = np.zeros(int(columns.sum()), dtype=int)
+    return shown_noise(prediction.experiments, measured, used, one, (output,))
+
+
 def learned_misfit(fit: "Fit", fitted: Prediction) -> Prediction:
     """The misfit that a calibrated model expects of itself, without noise, in the form of a measurement.
 

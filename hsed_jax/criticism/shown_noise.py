@@ -1,40 +1,15 @@
-"""The noise of the histories of a prediction: declared, or estimated from their records."""
+"""The undeclared noise of measured histories, estimated from their records."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hsed_jax.measurements import Experiment
 from hsed_jax.measurements.noise import RecordNoise, record_noise
 
-if TYPE_CHECKING:
-    from hsed_jax.criticism.prediction import Prediction
-
 HISTORY = 30
 """Least number of values of an output for an estimate of an undeclared noise."""
 _SEEN = 8  # least number of samples for an estimate of the noise
-
-
-def noise_sizes(prediction: "Prediction", output: str, declared: bool) -> np.ndarray:
-    """Sd of the noise of an output, (n, J): declared; or for histories estimated from the non-smooth part of the
-    record, and at most the inferred error, which includes it.
-    """
-    sigma = prediction.sigma[:, prediction.columns(output)]
-    return sigma if declared else np.fmin(_shown_by(prediction, output)[0], sigma)
-
-
-def largest_noise(prediction: "Prediction", output: str) -> np.ndarray:
-    """The largest sd of an undeclared noise that the records allow, (n, J); infinite if they do not show it."""
-    largest = _shown_by(prediction, output)[1]
-    return np.where(np.isnan(largest), np.inf, largest)
-
-
-def _shown_by(prediction: "Prediction", output: str) -> np.ndarray:
-    columns = prediction.columns(output)
-    measured, used = prediction.measured[:, columns], prediction.used[:, columns]
-    one = np.zeros(int(columns.sum()), dtype=int)
-    return shown_noise(prediction.experiments, measured, used, one, (output,))
 
 
 def shown_noise(

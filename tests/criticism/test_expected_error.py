@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hsed_jax as hx
-from hsed_jax.criticism.shown_noise import noise_sizes
+from hsed_jax.criticism.prediction import noise_sizes
 from hsed_jax.measurements import Campaign
 from hsed_jax.reporting.band_figures import band_parts, nested
 

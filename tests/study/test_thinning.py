@@ -8,7 +8,7 @@ import pytest
 from builders.misfits import prediction
 
 import hsed_jax as hx
-from hsed_jax.criticism.shown_noise import largest_noise, noise_sizes
+from hsed_jax.criticism.prediction import largest_noise, noise_sizes
 from hsed_jax.errors import UserError
 from hsed_jax.inference.observation import Grid, conditions_of
 from hsed_jax.inference.priors import Prior
