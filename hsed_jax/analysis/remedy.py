@@ -61,7 +61,7 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
 
     problem = problem_with(campaign)
     found = diagnosing.diagnose(problem, watch.report, watch.lead)
-    if found.verdict == "unexplained" and found.is_explained and compare(calibration).adequate:
+    if found.verdict == "unexplained" and found.is_explained and compare(calibration, campaign).adequate:
         # The noise explains the residual with the bounds and without them: the bounds exclude nothing that the data show.
         found = replace(found, verdict="adequate")
     return over_specimens(found, problem, problem_with, built, campaign, watch.report)
@@ -179,7 +179,8 @@ def improve(
 
     Arguments:
         calibration: the first model.
-        found: a diagnosis, whose effects are added in the forms that it found; or the campaign, with the effects named.
+        found: a diagnosis, whose effects are added in the forms that it found, without the last ones if these raise the error on
+            experiments that were not fitted materially; or the campaign, with the effects named.
         campaign: experiments; by default those it was calibrated on.
         effects: names of effects of the catalogue, in the order to add them; by default those of the diagnosis.
         forms: labels of their forms, where these are not the default ones: `Diagnosis.forms`.
@@ -198,6 +199,7 @@ def improve(
         better = hx.improve(fit, effects=["pinching"])  # an effect of your choice
         ```
     """
+    is_proposed = isinstance(found, Diagnosis) and effects is None
     if isinstance(found, Diagnosis):
         effects = found.effects if effects is None else effects
         if list(effects) == found.effects:
@@ -270,9 +272,9 @@ def improve(
         better = calibrate_built(built, campaign, start=start_at, starts=1, watch=watch, settings=settings)
         after = compare(better)
         steps[-1] = step_of(steps[-1].effects, after, better.map)
-        if not _is_worse(steps, after):
+        if not (is_proposed and _is_worse(steps, after)):
             return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))
-        # The diagnosis has judged a thinned record.
+        # The diagnosis judged a thinned record, and with all samples the last effect does not predict.
         (*kept, dropped), error = steps[-1].effects, steps.pop().error_test
         notes.append(
             f"{dropped} is not added: the error on experiments that were not fitted is {error:.3f} with it and "

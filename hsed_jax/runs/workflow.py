@@ -355,25 +355,26 @@ class Run:
     def _improve(self) -> None:
         assert self.calibration is not None
         assert self.comparison is not None
-        effects, known = self._to_add()
-        if not effects:
+        added = self._to_add()
+        if not added:
             self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
             return
         with self._watch("improve") as watch:
-            self.improvement = improve(self.calibration, effects=effects, watch=watch, **known)
+            self.improvement = improve(self.calibration, watch=watch, **added)
         self.trail = self.improvement.trail
         self.improvement.write(self.store.improved)
         self.improved_location = locate(self.improvement.calibration)
 
-    def _to_add(self) -> tuple[list[str], dict[str, Any]]:
-        """The effects to add, and the known values of their parameters."""
-        diagnosis, discovery = self.diagnosis, self.discovery
-        if discovery is not None and discovery.found and not self.study.improve.add:
+    def _to_add(self) -> dict[str, Any]:
+        """The effects to add, as arguments of `improve`; empty without any."""
+        diagnosis, discovery, chosen = self.diagnosis, self.discovery, self.study.improve.add
+        if chosen:
+            known = {} if diagnosis is None else {"forms": diagnosis.forms, "start": diagnosis.optimum}
+            return {"effects": chosen, **known}
+        if discovery is not None and discovery.found:
             files = [self.store.path / discovery.file]
-            return [*discovery.effects, discovery.effect], {"forms": discovery.forms, "own_effects": files}
-        if diagnosis is None:
-            return self.study.improve.add or [], {}
-        return self.study.improve.add or diagnosis.effects, {"forms": diagnosis.forms, "start": diagnosis.optimum}
+            return {"effects": [*discovery.effects, discovery.effect], "forms": discovery.forms, "own_effects": files}
+        return {"found": diagnosis} if diagnosis is not None and diagnosis.effects else {}
 
 
 def _load_reporting() -> None:

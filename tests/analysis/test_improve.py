@@ -150,11 +150,12 @@ def test_parameters_of_law_and_effects_are_the_true_ones(better):
         assert abs(better.calibration.map[name] - value) < 4 * summary["sd"] + 0.03 * value, name
 
 
-def test_an_effect_that_predicts_worse_is_not_added():
+def test_an_effect_that_predicts_worse_is_not_added(diagnosis):
     """An offset of the force in the fitted tests alone: the model with it is right there, and wrong in the held-out test."""
     campaign = loaded(spring_campaign(C), lambda experiment: 20e3 if experiment.split == "train" else 0.0)
     calibration = hx.calibrate(small_study(), campaign)
-    found = hx.improve(calibration, effects=["viscous_damping", "force_offset"])
+    effects = ["viscous_damping", "force_offset"]
+    found = hx.improve(calibration, replace(diagnosis, effects=effects, forms={}))
     first, last = found.trail.steps
     assert last.effects == ["viscous_damping"] == list(found.study.model.effects)
     assert last.error_test == found.after.test.error and last.parameters == found.calibration.map
@@ -162,6 +163,8 @@ def test_an_effect_that_predicts_worse_is_not_added():
     assert note.startswith("force_offset is not added: the error on experiments that were not fitted is ")
     with_it, without = (float(word) for word in note.split() if word.startswith("0."))
     assert with_it > without and first.error_test > 0
+    # A user's own choice is added as it is.
+    assert hx.improve(calibration, effects=effects).trail.steps[-1].effects == effects
 
 
 def test_the_trail_shows_itself(better):
