@@ -82,6 +82,7 @@ def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
         "doubtful": bool(diverged(run)),
         "scales": made("list of scales", _scales, ""),
         "falls": made("table of the fall of the error", _falls, []),
+        "fall_notes": [sentence(note) for note in run.summary.get("improvement", {}).get("notes", [])],
         "figures": made("list of key figures", key_figures, []),
         "stills": {section: list(_stills(run, names, left_out)) for section, names in _STILL.items()},
         "ranking": made("table of effects", _ranking, no_table | {"named": [], "rest": 0}),

@@ -225,6 +225,12 @@ def test_rebuilding_a_report_gives_the_same_page(page_file):
     assert page_file.read_bytes() == before
 
 
+def test_an_effect_that_an_improvement_leaves_out_is_said_beside_the_errors(tmp_path):
+    note = "viscous_damping is not added: the error is 1.045 with it and 0.444 without it"
+    page = page_of(tmp_path, lambda found: found["improvement"].update(notes=[note]))
+    assert '<p class="note">Viscous damping is not added: the error is 1.045 with it and 0.444 without it.</p>' in page
+
+
 def test_an_interrupted_run_has_a_report_that_says_so(folder):
     (folder / "results.nc").unlink()
     (folder / "summary.json").write_text(json.dumps({"study": "shown", "status": "interrupted"}))
