@@ -54,16 +54,14 @@ def diagnose(calibration: Calibration, campaign: Campaign | None = None, watch: 
     watch = watch or Watch()
     built = calibration.built
     leaning = [one.parameter for one in calibration.fit.leaning if one.parameter in built.mechanics.parameters[0]]
+    excludes = bool(leaning) and not compare(calibration, campaign).adequate
 
     def problem_with(some: Campaign) -> Problem:
         large = problem_of(built, some, samples=_SAMPLES)
-        return large.calibrated(calibration.map, calibration.apart(some), leaning, watch)
+        return large.calibrated(calibration.map, calibration.apart(some), leaning, excludes, watch)
 
     problem = problem_with(campaign)
     found = diagnosing.diagnose(problem, watch.report, watch.lead)
-    if found.verdict == "unexplained" and found.is_explained and compare(calibration, campaign).adequate:
-        # The noise explains the residual with the bounds and without them: the bounds exclude nothing that the data show.
-        found = replace(found, verdict="adequate")
     return over_specimens(found, problem, problem_with, built, campaign, watch.report)
 
 
@@ -255,7 +253,7 @@ def improve(
             [(problem.point(start), with_first(len(effects)))], np.arange(len(train.values))
         )
         target = train.standard(found_there[0], train.used[None]).target if ok.all() else target
-    steps, fits = [step_of([], before, calibration.map)], [plain]
+    steps, fits, dropped = [step_of([], before, calibration.map)], [plain], list[tuple[str, float | None]]()
     for count in range(1, len(effects) + 1):
         known_there = start if count == len(effects) else None
         fits.append(_best(problem, target, with_first(count), places[count - 1].columns, fits[-1].x, known_there))
@@ -273,13 +271,11 @@ def improve(
         after = compare(better)
         steps[-1] = step_of(steps[-1].effects, after, better.map)
         if not (is_proposed and _is_worse(steps, after)):
+            notes += [_not_added(*one, after) for one in dropped]
             return Improvement(study, calibration, better, before, after, Trail(steps, after.train.noise_floor, notes))
         # The diagnosis judged a thinned record, and with all samples the last effect does not predict.
-        (*kept, dropped), error = steps[-1].effects, steps.pop().error_test
-        notes.append(
-            f"{dropped} is not added: the error on experiments that were not fitted is {error:.3f} with it and "
-            f"{steps[-1].error_test:.3f} without it"
-        )
+        *kept, last = steps[-1].effects
+        dropped.append((last, steps.pop().error_test))
         study = _improved(calibration.built, kept, {effect: forms[effect] for effect in kept})
 
 
@@ -287,6 +283,13 @@ def _improved(built: Built, effects: Sequence[str], forms: Mapping[str, str] | N
     """The study with effects in its model, under the name of an improved one."""
     study = with_effects(built, effects, forms)
     return study.model_copy(update={"study": f"{study.study.removesuffix('_improved')}_improved"})
+
+
+def _not_added(effect: str, error: float | None, after: Comparison) -> str:
+    """The sentence on an effect that is left out, with its error on held-out experiments and that of the model without it."""
+    assert error is not None and after.test is not None
+    without = f"{after.test.error:.3f} without it"
+    return f"{effect} is not added: the error on experiments that were not fitted is {error:.3f} with it and {without}"
 
 
 def _is_worse(steps: Sequence[Step], after: Comparison) -> bool:

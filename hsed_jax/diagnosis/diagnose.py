@@ -90,7 +90,7 @@ def diagnose(
     called = {effects: best.effects if name == behaviour else name for effects, name in behaves.items()}
     stated = stated_probabilities(problem, search, models, called)
     ranking = _ranking(problem, search, models, sampled, stated)
-    is_adequate = is_explained(none.fit) and not problem.opened
+    is_adequate = is_explained(none.fit) and not problem.excludes
     plain = "undecided" if p_value is None else "adequate" if is_adequate else "unexplained"
     before = plain if not best.effects else "ambiguous" if rivals else "missing_effects"
     widths = prior_widths(search, models, best, before, plain, partial(_does_the_same, probe, behaves, best))

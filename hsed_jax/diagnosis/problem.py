@@ -88,6 +88,7 @@ class Problem(NamedTuple):
         pair: the pair of quantities in which the specimen is measured.
         held_out: the experiments of `test`.
         opened: parameters of the law whose prior bounds are removed, because their calibrated values are on these bounds.
+        excludes: whether these bounds exclude what the data show: the noise does not explain the residual with them.
         simulator: the spring model with every candidate; None for a model of another kind.
         visited: the range of the data; None for a model of another kind.
     """
@@ -111,6 +112,7 @@ class Problem(NamedTuple):
     pair: Pair = ELONGATION_AND_FORCE
     held_out: tuple[Experiment, ...] = ()
     opened: tuple[str, ...] = ()
+    excludes: bool = False
     simulator: Simulator | None = None
     visited: Range | None = None
 
@@ -124,6 +126,7 @@ class Problem(NamedTuple):
         known: Mapping[str, float],
         apart: Apart | None = None,
         opened: Sequence[str] = (),
+        excludes: bool = True,
         watch: Watch | None = None,
     ) -> "Problem":
         """The same problem after a calibration of the first model (without candidates).
@@ -133,6 +136,7 @@ class Problem(NamedTuple):
             apart: differences of the specimens from their population, training experiments first; they are constant.
             opened: parameters whose estimates are on a bound of their prior that is not a physical limit.  The bound is removed
                 here, so that no effect is named because of it.
+            excludes: whether the noise does not explain the residual of the calibrated model, with these bounds.
             watch: follows the fits.
         """
         priors, batch = self.models.box.priors, self.models.batch
@@ -140,7 +144,7 @@ class Problem(NamedTuple):
         if apart is not None:
             batch = BatchApart(batch, apart.across(self.names, self.rows + len(self.candidates)))
         models = self.models.within(box, batch, watch)
-        found = self._replace(models=models, opened=tuple(opened))
+        found = self._replace(models=models, opened=tuple(opened), excludes=bool(opened) and excludes)
         return found._replace(start=found.point(known))
 
     def point(self, known: Mapping[str, float]) -> Float[np.ndarray, " P"]:

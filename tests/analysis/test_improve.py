@@ -100,17 +100,17 @@ def test_what_the_diagnosis_promises_the_improvement_delivers(better, diagnosis)
     assert (first.error_train, first.error_test) == pytest.approx(diagnosis.error, rel=0.02)
 
 
-@pytest.mark.parametrize(("adequate", "p_value", "verdict"), [(True, 0.5, "adequate"), (False, 0.5, "unexplained"),
-                                                              (True, 0.0, "unexplained")])  # fmt: skip
-def test_bounds_that_exclude_nothing_make_no_model_wrong(
-    calibration, diagnosis, monkeypatch, adequate, p_value, verdict
-):
-    """The noise explains the residual of the calibrated model with its bounds, and without the one that an estimate is on."""
-    opened = replace(
-        diagnosis, verdict="unexplained", effects=[], p_value_after=p_value, opened={"A": 1.0}, error_after=(9.0, 9.0)
-    )
-    monkeypatch.setattr("hsed_jax.analysis.remedy.diagnosing.diagnose", lambda *_: opened)
+@pytest.mark.parametrize(("adequate", "verdict"), [(True, "adequate"), (False, "unexplained")])
+def test_bounds_that_exclude_nothing_make_no_model_wrong(calibration, diagnosis, monkeypatch, adequate, verdict):
+    """An estimate is on a bound, and the noise explains the residual of the calibrated model or not."""
+
+    def fake(problem, *_):
+        assert problem.opened == ("A",)
+        return replace(diagnosis, verdict="unexplained" if problem.excludes else "adequate", effects=[])
+
+    monkeypatch.setattr("hsed_jax.inference.fit.Fit.leaning", [SimpleNamespace(parameter="A")])
     monkeypatch.setattr("hsed_jax.analysis.remedy.compare", lambda *_: SimpleNamespace(adequate=adequate))
+    monkeypatch.setattr("hsed_jax.analysis.remedy.diagnosing.diagnose", fake)
     assert hx.diagnose(calibration).verdict == verdict
 
 
@@ -163,6 +163,7 @@ def test_an_effect_that_predicts_worse_is_not_added(diagnosis):
     assert note.startswith("force_offset is not added: the error on experiments that were not fitted is ")
     with_it, without = (float(word) for word in note.split() if word.startswith("0."))
     assert with_it > without and first.error_test > 0
+    assert without == pytest.approx(last.error_test, abs=1e-3)
     # A user's own choice is added as it is.
     assert hx.improve(calibration, effects=effects).trail.steps[-1].effects == effects
 

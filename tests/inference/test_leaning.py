@@ -201,6 +201,11 @@ def test_no_effect_is_named_to_get_round_a_bound(campaign, calibration):
     assert open_.opened["beta"] == pytest.approx(5.0, rel=0.1)
     assert open_.sentence.startswith("the priors exclude this specimen") and "widen" in open_.sentence
     assert open_.summary()["opened"] == open_.opened
+    # If the noise explained the residual with the bound, too, the bound would exclude nothing.
+    allowed = problem_of(built, campaign, effects).calibrated(calibration.map, opened=leaning, excludes=False)
+    allowed = diagnose(allowed)
+    assert (allowed.verdict, allowed.effects) == ("adequate", [])
+    assert {one.verdict for one in allowed.prior_widths} == {"adequate"}
 
 
 def test_physical_limits_are_those_of_the_catalogue_in_either_form(campaign):
