@@ -65,7 +65,8 @@ _HISTORY = ("absorbed_energy", "path", "largest_elongation", "reversals")
 
 
 _KINDS = (
-    {"hardening", "cubic_stiffness", "quadratic_stiffness", "contact_stiffening"},
+    # A Maxwell element that relaxes much more slowly than the test lasts is a spring.
+    {"hardening", "cubic_stiffness", "quadratic_stiffness", "contact_stiffening", "relaxation"},
     {"coulomb_friction", "stribeck_friction", "viscous_damping", "power_damping", "quadratic_damping"},
     {
         "stiffness_degradation",

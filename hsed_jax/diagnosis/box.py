@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.special import expit
 
 from hsed_jax.inference.priors import Prior
@@ -182,3 +182,31 @@ def _is_logarithmic(prior: Prior, median: float) -> bool:
         return False
     near_zero, there = (float(prior.log_density(jnp.asarray(value))) for value in (1e-9 * median, median))
     return near_zero < there - 20.0
+
+
+def quadratic_minimum(
+    gradient: Float[np.ndarray, " p"],
+    hessian: Float[np.ndarray, "p p"],
+    low: Float[np.ndarray, " p"],
+    high: Float[np.ndarray, " p"],
+) -> tuple[Float[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
+    r"""A step d from a point to the minimum of $g^\top d + d^\top H d/2$ within bounds, and the coordinates on a bound.
+
+    It goes towards the minimum without bounds until a coordinate reaches its bound and stays there, then on in the others: no
+    part of the way increases the value.
+    """
+    step, slope = np.zeros(len(gradient)), gradient
+    is_held = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
+    while not is_held.all():
+        loose = np.flatnonzero(~is_held)
+        way = -np.linalg.solve(hessian[np.ix_(loose, loose)], slope[loose])
+        left = np.where(way < 0, low[loose], high[loose]) - step[loose]
+        # The share of its way that each coordinate can go.
+        shares = np.divide(left, way, out=np.full(len(way), np.inf), where=way != 0)
+        is_reached = shares <= min(shares.min(), 1.0)
+        step[loose] += np.where(is_reached, left, min(shares.min(), 1.0) * way)
+        slope = gradient + hessian @ step
+        if not is_reached.any():
+            break
+        is_held[loose[is_reached]] = True
+    return step, is_held

@@ -14,10 +14,9 @@ Source: Tierney & Kadane 1986.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.special import log_ndtr
 
-from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.box import Box, quadratic_minimum
 from hsed_jax.diagnosis.fit_state import FitState, Target
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.importance import Proposal, weigh
@@ -78,14 +77,16 @@ class _Minimum(NamedTuple):
 def laplace(fit: FitState, models: NestedModels) -> float:
     """log Z of a fit; −∞ if its simulation diverged.
 
-    A coordinate that the gradient of φ holds at its bound contributes the integral of its tail; the others form a Gaussian.
+    A coordinate that the gradient of φ holds at its bound contributes the integral of its tail; the others form a Gaussian.  A
+    fit that is only evaluated with other errors counts with the minimum of the expansion.  A fit that tried steps does not: what
+    the expansion promises beyond its end, it did not reach.
     """
     if not np.isfinite(fit.cost):
         return -np.inf
     low, high = models.box.low[fit.free], models.box.high[fit.free]
     x, cost, gradient, hessian, is_held = _minimum(fit, models.box)
     loose, held = np.flatnonzero(~is_held), np.flatnonzero(is_held)
-    log_z = -cost
+    log_z = -(fit.cost if fit.steps + fit.trials else cost)
     stiffness, slopes = np.diag(hessian)[held], np.abs(gradient[held])
     if loose.size:
         covariance = np.linalg.inv(hessian[np.ix_(loose, loose)])
@@ -144,30 +145,6 @@ def gaussian(fit: FitState, box: Box) -> tuple[np.ndarray, np.ndarray]:
     found = _minimum(fit, box)
     covariance = np.linalg.inv(found.hessian + np.diag(np.where(found.is_held, 0.5 * found.gradient**2, 0.0)))
     return found.x, 0.5 * (covariance + covariance.T)
-
-
-def quadratic_minimum(
-    gradient: Float[np.ndarray, " p"],
-    hessian: Float[np.ndarray, "p p"],
-    low: Float[np.ndarray, " p"],
-    high: Float[np.ndarray, " p"],
-) -> tuple[Float[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
-    r"""The step d from a point to the minimum of $g^\top d + d^\top H d/2$ within bounds, and the coordinates on a bound.
-
-    What would leave the bounds stays on its bound, and the others adapt to that.
-    """
-    step, slope = np.zeros(len(gradient)), gradient
-    is_held = ((low >= 0) & (gradient > 0)) | ((high <= 0) & (gradient < 0))
-    while not is_held.all():
-        loose, moved = np.flatnonzero(~is_held), step.copy()
-        moved[loose] -= np.linalg.solve(hessian[np.ix_(loose, loose)], slope[loose])
-        is_beyond = (moved < low) | (moved > high)
-        step = np.where(is_beyond, np.clip(moved, low, high), step) if is_beyond.any() else moved
-        slope = gradient + hessian @ step
-        if not is_beyond.any():
-            break
-        is_held = is_held | is_beyond
-    return step, is_held
 
 
 def _minimum(fit: FitState, box: Box) -> _Minimum:

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from hsed_jax.diagnosis.batch import Predictions, Selected
-from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.box import Box, quadratic_minimum
 from hsed_jax.diagnosis.fit_state import FitState, Submodel, Target, Task
 from hsed_jax.inference.watch import Watch, fingerprint
 
@@ -34,6 +34,8 @@ _RACE = {3: 2, 7: 1}
 _BEHIND, _AS_MANY = 20.0, 50
 # Curvature of a coordinate without information from data or prior; only its bounds limit such a coordinate.
 _FLAT = 1e-6
+# Largest change of a coordinate in a step.
+_FAR = 3.0
 # Number of derivatives that are in RAM at once, and largest number that is stored for one fit.
 _NUMBERS, _KEPT = 2**24, 2**17
 # Largest number of consecutive steps that update the derivatives; each has to gain this share of the expected gain.
@@ -115,15 +117,18 @@ class NestedModels:
             return self._again(target, tasks, kept)
         fits = self._descended(target, tasks)
         # Few arrays: a file of hundreds takes as long to write as a batch of simulations.
-        points, costs, sizes = zip(*((f.x, f.cost, len(f.gradient)) for f in fits), strict=True)
+        points, *numbers = zip(*((f.x, f.cost, len(f.gradient), f.steps, f.trials) for f in fits), strict=True)
         slopes = [np.concatenate(part) for part in zip(*((f.gradient, f.hessian.ravel()) for f in fits), strict=True)]
-        self._watch.keep(name, [np.stack(points), np.asarray(costs), np.asarray(sizes), *slopes])
+        self._watch.keep(name, [np.stack(points), *map(np.asarray, numbers), *slopes])
         return fits
 
     def _again(self, target: Target, tasks: Sequence[Task], kept: Sequence[np.ndarray]) -> list[FitState]:
         """Fits from their stored results; only their predictions are simulated again, which is cheap compared with a fit."""
-        points, costs, sizes, gradients, hessians = kept
-        fits = [FitState(task.submodel, x, task.use) for task, x in zip(tasks, points, strict=True)]
+        points, costs, sizes, steps, trials, gradients, hessians = kept
+        fits = [
+            FitState(task.submodel, x, task.use, steps=int(made), trials=int(failed))
+            for task, x, made, failed in zip(tasks, points, steps, trials, strict=True)
+        ]
         tables = self._costs(target, [(f, f.x) for f in fits])[1]
         own = zip(np.split(gradients, np.cumsum(sizes)[:-1]), np.split(hessians, np.cumsum(sizes**2)[:-1]), strict=True)
         for one, cost, (gradient, hessian), predicted in zip(fits, costs, own, tables, strict=True):
@@ -263,27 +268,14 @@ class NestedModels:
         fit.hessian = jacobian @ jacobian.T + np.diag(terms.curvature)
 
     def _step(self, fit: FitState) -> Float[np.ndarray, " P"]:
-        """The damped Gauss–Newton step, limited by the bounds."""
+        """The damped Gauss–Newton step within the bounds, of at most `_FAR` in each coordinate."""
         low, high, x = self.box.low[fit.free], self.box.high[fit.free], fit.x[fit.free]
-        held = ((x <= low) & (fit.gradient > 0)) | ((x >= high) & (fit.gradient < 0))
-        moved = x.copy()
-        for _ in range(2):
-            inside = np.flatnonzero(~held)
-            if not inside.size:
-                break
-            hessian = fit.hessian[np.ix_(inside, inside)]
-            damped = hessian + np.diag(fit.damping * np.diag(hessian) + _FLAT)
-            step = np.linalg.solve(damped, -fit.gradient[inside])
-            moved = x.copy()
-            moved[inside] = x[inside] + np.clip(step, -3.0, 3.0)
-            beyond = (moved < low) | (moved > high)
-            # A coordinate that reaches a bound stays on it, and the step of the others is computed again.
-            if not beyond.any():
-                break
-            x = np.where(beyond, np.clip(moved, low, high), x)
-            held = held | beyond
+        damped = fit.hessian + np.diag(fit.damping * np.diag(fit.hessian) + _FLAT)
+        # A coordinate that goes so far stays there, and the others adapt to it.  If it were only cut off, they would fit to a
+        # point that is not reached, and the cost would often rise.
+        step, _ = quadratic_minimum(fit.gradient, damped, np.maximum(low - x, -_FAR), np.minimum(high - x, _FAR))
         full = fit.x.copy()
-        full[fit.free] = np.clip(moved, low, high)
+        full[fit.free] = np.clip(x + step, low, high)
         return full
 
     def _costs(

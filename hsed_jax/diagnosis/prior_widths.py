@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from hsed_jax.diagnosis.box import Box, Terms
-from hsed_jax.diagnosis.evidence import laplace, quadratic_minimum
+from hsed_jax.diagnosis.box import Box, Terms, quadratic_minimum
+from hsed_jax.diagnosis.evidence import laplace
 from hsed_jax.diagnosis.findings import PriorWidth
 from hsed_jax.diagnosis.fit_state import FitState
 from hsed_jax.diagnosis.fits import Model

@@ -5,11 +5,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from scipy import stats
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
 from hsed_jax.diagnosis import nested
 from hsed_jax.diagnosis.batch import Batch
-from hsed_jax.diagnosis.box import Box
+from hsed_jax.diagnosis.box import Box, quadratic_minimum
 from hsed_jax.diagnosis.fit_state import Target, Task
 from hsed_jax.diagnosis.nested import NestedModels
 from hsed_jax.inference.priors import Prior
@@ -465,6 +465,44 @@ def test_what_would_leave_its_bounds_rests_on_them(truth, resting, share):
         assert fit.gradient[column] * (1 if column == 2 else -1) > 0
     inside = [k for k in range(3) if k not in resting]
     assert np.all(np.abs(fit.gradient[inside]) < 0.2 * np.sqrt(np.diag(fit.hessian)[inside]))
+
+
+def test_a_fit_reaches_a_distant_optimum_at_the_end_of_a_narrow_valley():
+    """The step to it is cut off in one coordinate, and the other one has to follow the valley."""
+
+    def valley(theta, experiment):
+        return np.append(0.7 * (2 * theta[1] - theta[0]) * np.ones(24), theta[0])
+
+    models = models_of(valley, {"a": Prior("normal", [0.0, 1.0]), "b": Prior("normal", [0.0, 1.0])}, [0.0, 0.0])
+    submodel, free = models.submodel(np.arange(2)), np.arange(2)
+    (fit,) = models.fit(target_of([np.append(np.zeros(24), -4.0)]), [Task(submodel, models.neutral)])
+    # The measurements of the last output change, so that the optimum is eight deviations away along the valley.
+    (moved,) = models.fit(target_of([np.append(np.zeros(24), 4.0)]), [Task(submodel, fit.x, known=fit)])
+    jacobian = np.r_[np.tile([-0.7, 1.4], (24, 1)), [[1.0, 0.0]]] / SIGMA
+    precision = jacobian.T @ jacobian + np.eye(2)
+    exact = np.linalg.solve(precision, jacobian.T @ np.append(np.zeros(24), 4.0 / SIGMA))
+    np.testing.assert_allclose(
+        models.theta(moved.x, submodel)[free], exact, atol=0.2 * np.sqrt(np.linalg.inv(precision)[0, 0])
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_way_to_a_minimum_within_bounds_never_rises_and_ends_near_scipys(seed):
+    random = np.random.default_rng(seed)
+    size = int(random.integers(2, 9))
+    jacobian = random.normal(size=(size + 2, size)) + 3 * random.normal(size=(size + 2, 1))
+    hessian, gradient = jacobian.T @ jacobian + 0.01 * np.eye(size), 3 * random.normal(size=size)
+    low, high = -3 * np.abs(random.normal(size=size)), 3 * np.abs(random.normal(size=size))
+    step, is_held = quadratic_minimum(gradient, hessian, low, high)
+
+    def value(d):
+        return gradient @ d + 0.5 * d @ hessian @ d
+
+    assert np.all((step >= low) & (step <= high)) and all(value(t * step) <= 0 for t in np.linspace(0, 1, 11))
+    np.testing.assert_array_equal(is_held, (step == low) | (step == high))
+    root = np.linalg.cholesky(hessian).T
+    best = lsq_linear(root, -np.linalg.solve(root.T, gradient), (low, high)).x
+    assert value(step) == pytest.approx(value(best), abs=0.1 * abs(value(best)))
 
 
 def dead_zone(theta, experiment):
