@@ -181,6 +181,8 @@ def test_a_force_beside_the_law_is_named_for_what_it_is(histories, name):
         # What changes loops looks like a force of the elongation where hardly anything yields.
         ("loop_shape", ("cubic_stiffness", "hardening"), "loop_shape"),
         ("pinching", ("hardening",), "pinching"),
+        # A spring with a dashpot in series that hardly moves during the test.
+        ("relaxation", ("hardening",), "hardening"),
     ],
 )
 def test_a_name_is_exchanged_for_one_of_its_own_kind(effect, names, name):
