@@ -203,8 +203,9 @@ def quadratic_minimum(
         left = np.where(way < 0, low[loose], high[loose]) - step[loose]
         # The share of its way that each coordinate can go.
         shares = np.divide(left, way, out=np.full(len(way), np.inf), where=way != 0)
-        is_reached = shares <= min(shares.min(), 1.0)
-        step[loose] += np.where(is_reached, left, min(shares.min(), 1.0) * way)
+        share = min(shares.min(), 1.0)
+        is_reached = shares <= share
+        step[loose] += np.where(is_reached, left, share * way)
         slope = gradient + hessian @ step
         if not is_reached.any():
             break

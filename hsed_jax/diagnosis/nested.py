@@ -34,7 +34,7 @@ _RACE = {3: 2, 7: 1}
 _BEHIND, _AS_MANY = 20.0, 50
 # Curvature of a coordinate without information from data or prior; only its bounds limit such a coordinate.
 _FLAT = 1e-6
-# Largest change of a coordinate in a step.
+# Largest change of a coordinate of order one in a step: the linearisation says little of points that are farther away.
 _FAR = 3.0
 # Number of derivatives that are in RAM at once, and largest number that is stored for one fit.
 _NUMBERS, _KEPT = 2**24, 2**17
