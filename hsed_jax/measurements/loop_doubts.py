@@ -1,7 +1,7 @@
 """Doubts of a loop, from force and elongation together, with a time or without.
 
 * A specimen unloads when its elongation turns.  The largest force lies at that turn or before it.  A force is late if
-  its extreme comes after the turn, and early if it always comes the same number of samples before it.
+  its extreme comes after the turn, and early if it always comes some samples before it and falls at once as on unloading.
 * Drifting zeros move the middle of every cycle in proportion to the rows, beyond what the amplitude explains.
 * A step back that is faster than the loading is a slip; an elongation that rests while the force relaxes is a hold.
 """
@@ -24,6 +24,9 @@ from hsed_jax.physics.outputs import loops
 FEWEST = 4  # least number of turns for a statement on their timing
 LATE = 0.15  # share of late turns; measured specimens have up to 0.03
 EARLY, CYCLE = 0.6, 0.025  # share of early turns, and their lead as a share of a cycle; specimens have up to 0.015
+# An early force falls before the turn at least by this share of its fall in as many samples after the turn: by a third where the
+# elongation is a sine, by all of it where its rate is constant.  A specimen that softens falls by less.
+FALLEN = 0.25
 SIZE = 0.02  # share of the force of a half cycle; a smaller change is not a turn of the force
 LONGEST = 0.2  # share of a cycle; a longer lag does not count
 CYCLES, LINE, BESIDE = 6, 0.85, 0.75  # number of middles for a drift, and least quality of their line
@@ -120,7 +123,7 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
     name = named(owner, "force")
     force, elongation = record.channels[name], record.channels[named(owner, "elongation")]
     lags = timing(force, elongation, found)
-    is_late, is_early, words = lags > 0, lags < 0, campaign.pair.words
+    is_late, words = lags > 0, campaign.pair.words
     if is_late.mean() > LATE and is_late.sum() >= 3:
         lag = late_by(force, elongation, found) or int(np.median(lags[is_late]))
         first = int(found[1:-1][is_late][0])
@@ -134,6 +137,9 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
         yield Finding("doubt", id, name, float(record.time[first]), message, "timing", spans=spans)
         return
     cycle = 2 * float(np.median(np.diff(found)))
+    is_early = np.asarray(
+        [_falls_at_once(force, at, -lag) for at, lag in zip(found[1:-1].tolist(), lags.tolist(), strict=True)]
+    )
     early = -float(np.median(lags[is_early])) if is_early.any() else 0.0
     # A viscous force is early, too, so with a time this is not a doubt.
     is_long = early >= CYCLE * cycle and (early >= 2 or early >= 2 * CYCLE * cycle)
@@ -143,10 +149,18 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
             f"reversals, by {early:.0f} samples: does the force come early?"
         )
         spans = tuple(
-            (at + lead, at + 1) for at, lead in zip(found[1:-1].tolist(), lags.tolist(), strict=True) if lead < 0
+            (int(at + lead), int(at) + 1) for at, lead in zip(found[1:-1][is_early], lags[is_early], strict=True)
         )
         first = int(found[1:-1][is_early][0])
         yield Finding("doubt", id, name, float(record.time[first]), message, "timing", spans=spans)
+
+
+def _falls_at_once(force: np.ndarray, at: int, lead: int) -> bool:
+    """Whether a force with its extreme some samples before a turn has begun to unload there."""
+    if lead <= 0 or at + lead >= force.size:
+        return False
+    before, after = force[at - lead] - force[at], force[at] - force[at + lead]
+    return bool(before * after > 0 and abs(before) >= FALLEN * abs(after))
 
 
 def _lag(campaign: Campaign, record: Record, samples: int) -> str:

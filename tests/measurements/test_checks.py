@@ -288,6 +288,15 @@ def test_a_lag_is_told_in_seconds_where_there_is_a_time_and_a_viscous_lead_is_no
     assert [f for f in check_campaign(in_mm(shifted(loop(ELASTIC, noise=0.1), -4), 100.0)) if f.kind != "offset"] == []
 
 
+def test_a_specimen_that_softens_has_no_early_force():
+    u = loop()["elongation"]
+    yielding = np.zeros(u.size)  # elastic-perfectly plastic, less a share of its stiffness: P-Delta
+    for i, step in enumerate(np.diff(u)):
+        yielding[i + 1] = np.clip(yielding[i] + 1e7 * step, -2e4, 2e4)
+    softened = in_mm({"elongation": u, "force": yielding - 0.1 * 1e7 * u})
+    assert [f for f in check_campaign(softened) if f.kind == "timing"] == []
+
+
 def test_negative_work_that_a_lag_explains_is_told_so():
     u = loop()["elongation"]
     elastic = {"elongation": u, "force": 1e7 * u}
