@@ -429,7 +429,7 @@ EQUATIONS = {
         "strength": ("nu", lambda p, x, s: 1 + p.delta * np.sign(s.z)),
         "loading": ("gamma", lambda p, x, s: p.delta * (np.sign(s.z) + np.sign(s.v)) / 2),
         "stiffness": ("eta", lambda p, x, s: 1 / (1 - p.delta * np.sign(s.z))),
-        "stiffness and strength": ("a", lambda p, x, s: 1 - p.delta * np.sign(s.z)),
+        "stiffness and strength": ("force", lambda p, x, s: -p.delta * np.abs(s.z)),
         "free": [
             ("nu", lambda p, x, s: 1 + p.delta * rounded(p, s)),
             ("gamma", lambda p, x, s: p.of_loading * p.delta * (rounded(p, s) + np.sign(s.v)) / 2),
@@ -446,6 +446,7 @@ EQUATIONS = {
         "logarithmic": ("a", lambda p, x, s: 1 + p.delta * np.log(1 + np.abs(s.v) / V)),
         "power": ("a", lambda p, x, s: 1 + p.delta * (np.abs(s.v) / V) ** p.power),
         "strength": ("nu", lambda p, x, s: 1 / (1 + p.delta * np.log(1 + np.abs(s.v) / V))),
+        "sliding": ("nu", lambda p, x, s: 1 / (1 + p.delta * (1 - np.exp(-np.abs(s.v) / (p.bounding * V))))),
         "free": [
             ("a", lambda p, x, s: 1 + p.of_both * p.delta * (np.abs(s.v) / V) ** p.power),
             ("nu", lambda p, x, s: 1 / (1 + p.of_strength * p.delta * (np.abs(s.v) / V) ** p.power)),

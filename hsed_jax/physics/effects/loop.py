@@ -132,7 +132,8 @@ class Asymmetry(AbstractSpringEffect):
              held={"of_strength": 0.0, "of_loading": 1.0}),
         Form("stiffness", r"1/\eta = 1 - \delta\,\mathrm{sign}\,z", "Dobson, Noori, Hou, Dimentberg & Baber 1997",
              held={"of_strength": 0.0, "of_stiffness": 1.0}),
-        Form("stiffness and strength", r"a = 1 - \delta\,\mathrm{sign}\,z", held={"of_strength": 0.0, "of_both": 1.0}),
+        # Beside the element: a law of paths has no curve across a change of its stiffness at zero force.
+        Form("stiffness and strength", r"r = z - \delta|z|", held={"of_strength": 0.0, "of_both": 1.0}),
         Form(FREE, r"\nu = 1 + \delta\sigma,\ 1/\eta = 1 - w_\eta\delta\sigma,\ "
              r"\gamma + w_\gamma\delta\beta\,(\sigma + \mathrm{sign}\,\Delta\dot u)/2,\ "
              r"\sigma = z/\sqrt{z^2 + (\rho z_u)^2}",
@@ -151,14 +152,14 @@ class Asymmetry(AbstractSpringEffect):
     of_strength: Scalar = _whether("ν", r"w_\nu")
     of_loading: Scalar = _whether("γ on loading", r"w_\gamma", 0.0)
     of_stiffness: Scalar = _whether("η", r"w_\eta", 0.0)
-    of_both: Scalar = _whether("a", "w_a", 0.0)
+    of_both: Scalar = _whether("the force of the element", "w_z", 0.0)
     rounding: Scalar = shape_parameter(
         r"\rho", "force over strength within which one side changes into the other", neutral=0.0, lower=0.0, upper=1.0,
         prior={"half_normal": 0.2},
     )  # fmt: skip
 
     def contribute(self, point: SpringPoint) -> dict[str, Scalar]:
-        """A factor on `nu`, where its jump multiplies a z of zero; or an addend to `gamma`, or a factor on `eta` or `a`."""
+        """A factor on `nu`, where its jump multiplies a z of zero; or an addend to `gamma` or `force`, or a factor on `eta`."""
         side = self.delta * self._side(point)
         found: dict[str, Scalar] = {}
         if not is_zero(self.of_strength):
@@ -168,7 +169,7 @@ class Asymmetry(AbstractSpringEffect):
         if not is_zero(self.of_stiffness):
             found["eta"] = 1 / (1 - self.of_stiffness * side)
         if not is_zero(self.of_both):
-            found["a"] = 1 - self.of_both * side
+            found["force"] = -self.of_both * side * point.hysteretic
         return found
 
     def _side(self, point: SpringPoint) -> Scalar:
@@ -239,6 +240,8 @@ class RateDependence(AbstractSpringEffect):
         Form("power", r"a = 1 + \delta(|\Delta\dot u|/v_c)^p", "Cowper & Symonds 1957", held={"of_power": 1.0},
              free=("power",)),
         Form("strength", r"1/\nu = 1 + \delta\ln(1 + |\Delta\dot u|/v_c)", held={"of_both": 0.0, "of_strength": 1.0}),
+        Form("sliding", r"1/\nu = 1 + \delta(1 - e^{-|\Delta\dot u|/r v_c})", "Constantinou, Mokha & Reinhorn 1990",
+             held={"of_both": 0.0, "of_strength": 1.0, "of_sliding": 1.0}, free=("bounding",)),
         Form(FREE, r"a = 1 + w_a\delta(|\Delta\dot u|/v_c)^p,\ 1/\nu = 1 + w_\nu\delta(|\Delta\dot u|/v_c)^p",
              held={"of_power": 1.0}, free=("power", "of_both", "of_strength")),
     )  # fmt: skip
@@ -255,7 +258,12 @@ class RateDependence(AbstractSpringEffect):
     power: Scalar = shape_parameter(
         "p", "power of the rate", neutral=0.3, lower=0.05, upper=2.0, prior={"lognormal": [-1.2, 0.7]}
     )
+    bounding: Scalar = shape_parameter(
+        "r", "rate over characteristic rate at which most of a bounded growth is reached", neutral=0.3, lower=0.01,
+        prior={"lognormal": [-1.2, 1.0]},
+    )  # fmt: skip
     of_power: Scalar = share_parameter("w_p", "whether the growth is a power")
+    of_sliding: Scalar = share_parameter("w_b", "whether the growth has a bound")
     of_both: Scalar = _whether("a", "w_a")
     of_strength: Scalar = _whether("ν", r"w_\nu", 0.0)
 
@@ -265,6 +273,8 @@ class RateDependence(AbstractSpringEffect):
         grown = jnp.log1p(speed)
         if not is_zero(self.of_power):
             grown = grown + self.of_power * (raised(speed, self.power) - grown)
+        if not is_zero(self.of_sliding):
+            grown = grown - self.of_sliding * (jnp.expm1(-speed / self.bounding) + grown)
         found: dict[str, Scalar] = {}
         if not is_zero(self.of_both):
             found["a"] = 1 + self.of_both * self.delta * grown
