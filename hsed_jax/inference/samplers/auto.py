@@ -6,7 +6,7 @@ from hsed_jax.inference.independent import weighed
 from hsed_jax.inference.nuts import Chains
 from hsed_jax.inference.requested import Requested
 from hsed_jax.inference.samplers.base import AbstractSampler
-from hsed_jax.inference.samplers.nuts import Nuts
+from hsed_jax.inference.samplers.nuts import within_budget
 from hsed_jax.registry import register
 
 
@@ -19,6 +19,7 @@ class Auto(AbstractSampler):
 
     @staticmethod
     def draw(asked: Requested) -> Chains:
-        """Draws by importance sampling if they can be trusted, otherwise by NUTS."""
+        """Draws by importance sampling if they can be trusted or NUTS makes none within the budget, otherwise by NUTS."""
         weighing = weighed(asked)
-        return weighing.chains() if weighing.weights.reliable else Nuts.draw(asked)
+        chains = None if weighing.weights.reliable else within_budget(asked)
+        return chains or weighing.chains()

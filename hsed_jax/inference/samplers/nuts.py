@@ -26,16 +26,24 @@ class Nuts(AbstractSampler):
     @staticmethod
     def draw(asked: Requested) -> Chains:
         """Draws by NUTS; draws of the Gaussian around the mode if the budget ends before there are enough."""
-        # Settings are normalised so that the compiled program is shared.
-        settings = asked.settings._replace(sampler="nuts")
-        key, seconds, planned = jax.random.split(asked.key)[1], asked.seconds, settings.draws
-        found = by_nuts(
-            asked.posterior, asked.data, asked.maximum, asked.step_size, key, settings, asked.watch, seconds
-        )
-        made, budget = found.theta.shape[1], f"stopped by the budget of {seconds} s (calibration.seconds)"
-        if made == planned:
-            return found
-        if made >= min(_TELLING, planned):
-            return found._replace(doubt=f"{budget} after {made} of {planned} draws")
-        instead = f"{budget} before there were draws of the posterior: these draws are from the Gaussian around the MAP"
-        return Laplace.draw(asked)._replace(doubt=instead)
+        instead = f"{_ended(asked)} before there were draws of the posterior: these draws are from the Gaussian around the MAP"
+        return within_budget(asked) or Laplace.draw(asked)._replace(doubt=instead)
+
+
+def within_budget(asked: Requested) -> Chains | None:
+    """Draws by NUTS; None if the budget ends before there are enough."""
+    # Settings are normalised so that the compiled program is shared.
+    settings = asked.settings._replace(sampler="nuts")
+    key, planned = jax.random.split(asked.key)[1], asked.settings.draws
+    found = by_nuts(
+        asked.posterior, asked.data, asked.maximum, asked.step_size, key, settings, asked.watch, asked.seconds
+    )
+    made = found.theta.shape[1]
+    if made == planned:
+        return found
+    enough = made >= min(_TELLING, planned)
+    return found._replace(doubt=f"{_ended(asked)} after {made} of {planned} draws") if enough else None
+
+
+def _ended(asked: Requested) -> str:
+    return f"stopped by the budget of {asked.seconds} s (calibration.seconds)"
