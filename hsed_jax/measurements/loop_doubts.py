@@ -160,7 +160,8 @@ def _falls_at_once(force: np.ndarray, at: int, lead: int) -> bool:
     if lead <= 0 or at + lead >= force.size:
         return False
     before, after = force[at - lead] - force[at], force[at] - force[at + lead]
-    return bool(before * after > 0 and abs(before) >= FALLEN * abs(after))
+    # After the turn a force that slides does not fall any more.
+    return bool(abs(before) >= FALLEN * np.sign(before) * after)
 
 
 def _lag(campaign: Campaign, record: Record, samples: int) -> str:
