@@ -137,22 +137,18 @@ def _timing(campaign: Campaign, id: str, record: Record, owner: str, found: np.n
         yield Finding("doubt", id, name, float(record.time[first]), message, "timing", spans=spans)
         return
     cycle = 2 * float(np.median(np.diff(found)))
-    is_early = np.asarray(
-        [_falls_at_once(force, at, -lag) for at, lag in zip(found[1:-1].tolist(), lags.tolist(), strict=True)]
-    )
-    early = -float(np.median(lags[is_early])) if is_early.any() else 0.0
+    leads = zip(found[1:-1].tolist(), (-lags).tolist(), strict=True)
+    early = [(at, lead) for at, lead in leads if _falls_at_once(force, at, lead)]
+    usual = float(np.median([lead for _, lead in early])) if early else 0.0
     # A viscous force is early, too, so with a time this is not a doubt.
-    is_long = early >= CYCLE * cycle and (early >= 2 or early >= 2 * CYCLE * cycle)
-    if not campaign.has_time and is_early.mean() > EARLY and is_long:
+    is_long = usual >= CYCLE * cycle and (usual >= 2 or usual >= 2 * CYCLE * cycle)
+    if not campaign.has_time and len(early) > EARLY * lags.size and is_long:
         message = words(
-            f"its extreme comes before the reversal of the elongation at {100 * is_early.mean():.0f} % of {lags.size} "
-            f"reversals, by {early:.0f} samples: does the force come early?"
+            f"its extreme comes before the reversal of the elongation at {100 * len(early) / lags.size:.0f} % of {lags.size} "
+            f"reversals, by {usual:.0f} samples: does the force come early?"
         )
-        spans = tuple(
-            (int(at + lead), int(at) + 1) for at, lead in zip(found[1:-1][is_early], lags[is_early], strict=True)
-        )
-        first = int(found[1:-1][is_early][0])
-        yield Finding("doubt", id, name, float(record.time[first]), message, "timing", spans=spans)
+        spans = tuple((at - lead, at + 1) for at, lead in early)
+        yield Finding("doubt", id, name, float(record.time[early[0][0]]), message, "timing", spans=spans)
 
 
 def _falls_at_once(force: np.ndarray, at: int, lead: int) -> bool:
