@@ -1,4 +1,4 @@
-"""Importance sampling if it is reliable, otherwise NUTS."""
+"""Importance sampling if it is reliable, otherwise NUTS within a budget of time."""
 
 from typing import ClassVar, final
 
@@ -13,13 +13,13 @@ from hsed_jax.registry import register
 @final
 @register
 class Auto(AbstractSampler):
-    """`importance` if its weights are reliable, otherwise `nuts`; the result has the name of the sampler."""
+    """`importance` if its weights are reliable or the budget ends before `nuts` has draws; otherwise `nuts`."""
 
     use: ClassVar[str] = "there is no reason for another one (the default)"
 
     @staticmethod
     def draw(asked: Requested) -> Chains:
-        """Draws by importance sampling if they can be trusted or NUTS makes none within the budget, otherwise by NUTS."""
+        """Draws by the sampler that is chosen in this way."""
         weighing = weighed(asked)
         chains = None if weighing.weights.reliable else within_budget(asked)
         return chains or weighing.chains()
