@@ -9,11 +9,13 @@ import signal
 import socket
 import webbrowser
 from pathlib import Path
+from typing import Any
 
 import panel as pn
 from bokeh.server.server import Server
 from panel.io.server import get_server
 from tornado.web import HTTPError, RequestHandler
+from tornado.websocket import WebSocketClosedError
 
 from hsed_jax.app.folder import Folder
 from hsed_jax.app.jobs import Jobs
@@ -84,10 +86,11 @@ def serve(root: Path, port: int, opens: bool) -> int:
 
 
 async def _until_stopped(folder: Folder, jobs: Jobs, port: int, opens: bool) -> None:
-    stopped = asyncio.Event()
+    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
     server, address = made(folder, jobs, port)
+    loop.set_exception_handler(say_unless_tab_closed)
     for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stopped.set)
+        loop.add_signal_handler(number, stopped.set)
     server.start()
     print(
         f"hsed app serves {folder.root}\n  {address}\nopen it in a browser on this machine; Ctrl-C ends it", flush=True
@@ -96,6 +99,13 @@ async def _until_stopped(folder: Folder, jobs: Jobs, port: int, opens: bool) -> 
         webbrowser.open(address)
     await stopped.wait()
     server.stop()
+
+
+def say_unless_tab_closed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report an error of a task that nobody awaits, unless a tab was closed while the server wrote to it."""
+    # Panel does not await all messages of a session that it destroys; a closed tab is no fault.
+    if not isinstance(context.get("exception"), WebSocketClosedError):
+        loop.default_exception_handler(context)
 
 
 def made(folder: Folder, jobs: Jobs, port: int) -> tuple[Server, str]:

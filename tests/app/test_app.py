@@ -1,5 +1,7 @@
 """The local page: what it refuses, what becomes of dropped files, and in Chromium the story from a raw file to a named effect."""
 
+import asyncio
+import gc
 import http.client
 import json
 import re
@@ -691,6 +693,29 @@ def test_a_run_that_there_is_can_be_played_with(server, opened):
 
 def error_of(page, after):
     return float(page.locator("p", has_text=after).locator("b").inner_text())
+
+
+def test_a_tab_that_is_closed_while_the_server_writes_to_it_is_no_fault(caplog):
+    pytest.importorskip("panel")
+    from tornado.websocket import WebSocketClosedError
+
+    from hsed_jax.app.server import say_unless_tab_closed
+
+    async def failing(error):
+        raise error
+
+    async def with_lost_tasks():
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(say_unless_tab_closed)
+        errors = (WebSocketClosedError(), ValueError("a fault of the page"))
+        lost = [loop.create_task(failing(error)) for error in errors]
+        await asyncio.wait(lost)
+        lost.clear()
+        gc.collect()
+
+    asyncio.run(with_lost_tasks())
+    (said,) = caplog.records
+    assert isinstance(said.exc_info[1], ValueError)
 
 
 @pytest.mark.slow
