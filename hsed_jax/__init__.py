@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from hsed_jax.analysis.discovery import discover as discover
     from hsed_jax.analysis.first_study import initial_study as initial_study
     from hsed_jax.analysis.listing import effects as effects
+    from hsed_jax.analysis.remainder import learn_remainder as learn_remainder
     from hsed_jax.analysis.remedy import diagnose as diagnose
     from hsed_jax.analysis.remedy import improve as improve
     from hsed_jax.analysis.sensitivity import sensitivity as sensitivity
@@ -75,6 +76,7 @@ _HOMES = {
     "analysis.discovery": ("discover",),
     "analysis.first_study": ("initial_study",),
     "analysis.listing": ("effects",),
+    "analysis.remainder": ("learn_remainder",),
     "analysis.remedy": ("diagnose", "improve"),
     "analysis.sensitivity": ("sensitivity",),
     "sweeps.laws": ("laws",),

@@ -369,3 +369,5 @@ def _said(done: "Run", step: str) -> Iterator[Any]:
             yield f"the improved model, {done.improvement.calibration}"
             yield f"the improved model: {done.improvement.after}"
             yield f"the improved model: {done.improved_location}"
+        if done.remainder is not None:
+            yield done.remainder

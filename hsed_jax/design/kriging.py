@@ -34,8 +34,8 @@ TrendName = Literal["constant", "linear", "quadratic"]
 # Candidates handled together: their arrays stay in the second-level cache.
 _CHUNK = 256
 # Columns of L⁻¹ multiplied together.  It is a lower triangle, so each block of columns starts at its first row; the matrix
-# product is fastest for multiples of five.
-_COLUMNS = 15
+# product is fastest for multiples of five.  Each block is compiled, so a large matrix has few blocks.
+_COLUMNS, _BLOCKS = 15, 8
 # Log-normal prior of the nugget: median and spread of the logarithm.  With it and that of the lengths 90 % bands hold
 # 85 to 95 % of a Matérn field and of the paper's discrepancy, from 8 to 40 points, with noise and without
 # (tests/design/test_kriging.py); longer lengths and a zero nugget need evidence from the data.
@@ -112,11 +112,12 @@ class Kriging(eqx.Module):
         f = trend_functions(x, self.trend).T
         rows = jnp.concatenate([self.whitening, self.trend_projection, self.weights[None]])
         explained, product = jnp.zeros(()), jnp.zeros(())
-        for i in range(0, n, _COLUMNS):
-            some = slice(i, i + _COLUMNS)
+        columns = max(_COLUMNS, n // _BLOCKS)
+        for i in range(0, n, columns):
+            some = slice(i, i + columns)
             product = product + rows[i:, some] @ correlation(self.inputs[some], x, self.lengths, self.kernel)
             # Rows of L⁻¹ that end in these columns.
-            done, product = jnp.split(product, [min(_COLUMNS, n - i)])
+            done, product = jnp.split(product, [min(columns, n - i)])
             explained = explained + jnp.sum(jnp.square(done), axis=0)
         trend_part = jnp.sum(jnp.square(product[:-1] - self.trend_whitening @ f), axis=0)
         known = jnp.sum(self.mask)

@@ -16,10 +16,10 @@ from hsed_jax.reporting.page_tables import SERIES, Axis
 
 Specification = dict[str, Any]
 
-INK, FAINT, GRID, BLUE, RED = (f"var(--{name})" for name in ("ink", "faint", "grid", "blue", "red"))
+INK, FAINT, GRID, BLUE, RED, GREEN = (f"var(--{name})" for name in ("ink", "faint", "grid", "blue", "red", "good"))
 
-_COLOURS = {"measured": INK, "as it was": RED, "improved": BLUE, "noise": FAINT}
-_DASHES = {"measured": [1, 0], "as it was": [7, 3], "improved": [1, 0]}
+_COLOURS = {"measured": INK, "as it was": RED, "improved": BLUE, "with the remainder": GREEN, "noise": FAINT}
+_DASHES = {"measured": [1, 0], "as it was": [7, 3], "improved": [1, 0], "with the remainder": [2, 2]}
 _ZOOM = "wheel![event.shiftKey]"  # the wheel alone moves the page
 _WIDTH = 880
 _TITLES: Any = {"labelColor": INK, "titleColor": INK, "titleFontWeight": "normal"}

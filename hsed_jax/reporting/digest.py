@@ -7,7 +7,7 @@ from typing import Any
 from hsed_jax.criticism.prediction import error_cell, error_change
 from hsed_jax.physics.effects import called
 from hsed_jax.reporting import style
-from hsed_jax.reporting.finished import SPLITS, FinishedRun
+from hsed_jax.reporting.finished import MODELS, SPLITS, FinishedRun
 from hsed_jax.reporting.probabilities import shown
 
 _QUOTED = 5  # doubts of the data
@@ -119,14 +119,13 @@ def key_figures(run: FinishedRun) -> list[dict[str, Any]]:
         if value is not None:
             found.append({"key": key, "label": label, "value": value, "text": form.format(value)})
 
-    before, after = run.comparisons.get("before"), run.comparisons.get("after")
     for split, words in (("train", "fitted"), ("test", "held out")):
-        for model, comparison, when in (("before", before, "as it was"), ("after", after, "improved")):
-            if comparison and split in comparison:
-                label = f"error, {words} experiments, model {when}"
+        for model, comparison in run.comparisons.items():
+            if split in comparison:
+                label = f"error, {words} experiments, {MODELS[model]}"
                 error, text = comparison[split].get("error"), error_text(comparison[split])
                 found.append({"key": f"error_{split}_{model}", "label": label, "value": error, "text": text})
-    if before:
+    if before := run.comparisons.get("before"):
         add("noise_floor", "noise floor", before["train"]["noise_floor"])
     diagnosis = summary.get("diagnosis")
     if diagnosis:
@@ -173,8 +172,7 @@ def warnings(run: FinishedRun) -> Iterator[str]:
 
 def diverged(run: FinishedRun) -> dict[str, list[str]]:
     """The message on diverged simulations, by model."""
-    words = {"before": "The model as it was", "after": "The improved model"}
-    found = {words[model]: comparison.get("warnings", []) for model, comparison in run.comparisons.items()}
+    found = {f"The {MODELS[model]}": comparison.get("warnings", []) for model, comparison in run.comparisons.items()}
     return {model: texts for model, texts in found.items() if texts}
 
 

@@ -12,6 +12,8 @@ from hsed_jax.measurements import Campaign, Finding, check_campaign
 from hsed_jax.tables import Table, Tabular, cell
 
 SPLITS = ("train", "test")
+MODELS = {"before": "model as it was", "after": "improved model", "remainder": "model with the remainder"}
+"""The models of a run in words."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -46,7 +48,7 @@ class FinishedRun(Tabular):
     def _table(self) -> Table:
         rows = [
             (f"error of {split}, {when}", cell(comparison[split].get("error")))
-            for when, comparison in zip(("model as it was", "improved model"), self.comparisons.values(), strict=False)
+            for when, comparison in ((MODELS[model], comparison) for model, comparison in self.comparisons.items())
             for split in SPLITS
             if split in comparison
         ]
@@ -56,10 +58,15 @@ class FinishedRun(Tabular):
 
     @property
     def comparisons(self) -> dict[str, dict[str, Any]]:
-        """`comparison` of the first model (`before`) and of the improved one (`after`), if they exist."""
+        """`comparison` of the first model (`before`), of the improved one (`after`), and of the last one with a remainder that
+        helps (`remainder`), if they exist.
+        """
+        improvement = self.summary.get("improvement", {})
+        remainder = improvement.get("remainder", {})
         found = {
             "before": self.summary.get("comparison"),
-            "after": self.summary.get("improvement", {}).get("comparison"),
+            "after": improvement.get("comparison"),
+            "remainder": remainder.get("comparison") if remainder.get("helps") else None,
         }
         return {name: comparison for name, comparison in found.items() if comparison}
 
@@ -74,10 +81,11 @@ class FinishedRun(Tabular):
         return self.study.get("observe") == "histories"
 
     def predictions(self, split: str) -> dict[str, xr.DataTree]:
-        """Predictions of a split by model (`before`, `after`); empty where none were made."""
+        """Predictions of a split by model, as `comparisons`; empty where none were made."""
         if self.results is None:
             return {}
-        groups = {"before": f"predictions/{split}", "after": f"predictions_improved/{split}"}
+        roots = {"before": "predictions", "after": "predictions_improved", "remainder": "predictions_with_remainder"}
+        groups = {model: f"{root}/{split}" for model, root in roots.items()}
         known = {path.strip("/") for path in self.results.groups}
         return {model: self.results[path] for model, path in groups.items() if path in known}  # type: ignore[misc]
 

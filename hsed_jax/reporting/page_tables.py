@@ -22,7 +22,7 @@ _BINS = 20
 _IN_A_BIN = 8
 _WORDS = {"amplitude": "elongation", "energy": "absorbed energy", "speed": "elongation rate"}
 
-SERIES = {"measured": "measured", "before": "as it was", "after": "improved"}
+SERIES = {"measured": "measured", "before": "as it was", "after": "improved", "remainder": "with the remainder"}
 """Names of the drawn series by their keys in the tables."""
 
 Table = dict[str, list]

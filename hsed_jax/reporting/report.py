@@ -29,7 +29,7 @@ from hsed_jax.reporting.digest import (
     verdict,
     warnings,
 )
-from hsed_jax.reporting.finished import FinishedRun
+from hsed_jax.reporting.finished import SPLITS, FinishedRun
 from hsed_jax.reporting.inline_svg import InlineFigure, inline
 from hsed_jax.reporting.page import number, render
 from hsed_jax.reporting.probabilities import EXPLAINED
@@ -82,7 +82,7 @@ def report_page(run: FinishedRun, left_out: LeftOut | None = None) -> str:
         "doubtful": bool(diverged(run)),
         "scales": made("list of scales", _scales, ""),
         "falls": made("table of the fall of the error", _falls, []),
-        "fall_notes": [sentence(note) for note in run.summary.get("improvement", {}).get("notes", [])],
+        "fall_notes": [*map(sentence, _fall_notes(run))],
         "figures": made("list of key figures", key_figures, []),
         "stills": {section: list(_stills(run, names, left_out)) for section, names in _STILL.items()},
         "ranking": made("table of effects", _ranking, no_table | {"named": [], "rest": 0}),
@@ -202,8 +202,8 @@ def _experiments(run: FinishedRun) -> dict[str, Any]:
     heads += [
         f"{campaign.pair.called(name)} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.quantities
     ]
-    models = [model for model in ("before", "after") if model in run.comparisons]
-    heads += [{"before": "error", "after": "error, improved"}[model] for model in models]
+    models = [*run.comparisons]
+    heads += [f"error, {tables.SERIES[model]}" for model in models]
     rows = []
     for experiment in campaign:
         values = [campaign.unit(name).from_si(experiment.inputs[name]) for name in campaign.inputs]
@@ -274,9 +274,9 @@ def _places(run: FinishedRun) -> dict[str, Any]:
 
 
 def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
-    """The first model and the model after each added effect, with their errors."""
+    """The first model, the model after each added effect, and the last one with its remainder, with their errors."""
     steps, has_test = run.summary.get("improvement", {}).get("steps", []), "test" in run.comparisons.get("before", {})
-    return [
+    rows = [
         (
             "+ " + style.words(called(step["effects"][-1], step.get("parameters", {})))
             if step["effects"]
@@ -286,6 +286,17 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
         )
         for step in steps
     ]
+    if last := run.comparisons.get("remainder"):
+        train, test = (error_text(last[split], look=".4f") for split in SPLITS)
+        rows.append((tables.SERIES["remainder"], train, test))
+    return rows
+
+
+def _fall_notes(run: FinishedRun) -> list[str]:
+    """How the improved model was made, and whether what the last model leaves repeats with the path."""
+    improvement = run.summary.get("improvement", {})
+    remainder = improvement.get("remainder")
+    return [*improvement.get("notes", []), *([remainder["sentence"]] if remainder else [])]
 
 
 def _channels(run: FinishedRun) -> dict[str, Any]:

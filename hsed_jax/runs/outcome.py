@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from hsed_jax.analysis.remainder import WithRemainder
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.improve import Trail
 from hsed_jax.criticism.locate import Location
@@ -46,6 +47,7 @@ class Outcome:
         discovery: the learned effect that is not in the catalogue.
         trail, improved, improved_comparison: the fall of the error, the improved model, and how far it is from the
             measurements.
+        remainder: the last model with what it leaves, as a function of the path; None if it was not learned.
         scales: characteristic values that amplitudes of effects are relative to; None without effects.
     """
 
@@ -74,6 +76,7 @@ class Outcome:
     improved: Fit | None
     improved_comparison: Comparison | None
     improved_location: Location | None
+    remainder: WithRemainder | None
     scales: Scales | None
 
     @property
@@ -143,6 +146,8 @@ def summary(outcome: Outcome) -> dict[str, Any]:
             )
             if outcome.improved_location is not None:
                 content["improvement"]["comparison"]["where"] = outcome.improved_location.summary()
+        if outcome.remainder is not None:
+            content["improvement"]["remainder"] = outcome.remainder.summary()
     if state is not None:
         assert outcome.design is not None
         estimates = outcome.estimates.T.tolist()

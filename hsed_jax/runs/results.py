@@ -41,6 +41,8 @@ def results_tree(outcome: Outcome, illustrations: Mapping[str, xr.Dataset]) -> x
         groups |= {f"{name}_improved": group for name, group in draws_of(outcome.improved).items()}
     if outcome.improved_comparison is not None:
         groups |= _compared(outcome.improved_comparison, "predictions_improved", outcome.campaign.pair)
+    if outcome.remainder is not None and outcome.remainder.helps:
+        groups |= _compared(outcome.remainder.after, "predictions_with_remainder", outcome.campaign.pair)
     if outcome.steps:
         groups["design"] = _design(outcome)
         assert outcome.design is not None and outcome.state is not None

@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from hsed_jax.analysis.calibration import Calibration, calibrate_built, compare, locate
 from hsed_jax.analysis.discovery import discover
+from hsed_jax.analysis.remainder import WithRemainder, has_remainder, learn_remainder
 from hsed_jax.analysis.remedy import Improvement, diagnose, improve
 from hsed_jax.config.schema import Study
 from hsed_jax.criticism import locate as locating
@@ -86,8 +87,8 @@ class Run:
 
     Attributes:
         conduct: of the design, where it ran.
-        calibration, comparison, location, diagnosis, remaining, discovery, improvement, improved_location: results of the
-            steps that ran.
+        calibration, comparison, location, diagnosis, remaining, discovery, improvement, improved_location, remainder: results
+            of the steps that ran.
         left_out: sentences on the figures and tables that could not be made.
     """
 
@@ -129,6 +130,7 @@ class Run:
         self.improvement: Improvement | None = None
         self.improved_location: Location | None = None
         self.trail: Trail | None = None
+        self.remainder: WithRemainder | None = None
 
     @property
     def campaign(self) -> Campaign:
@@ -248,6 +250,7 @@ class Run:
             improved=None if self.improvement is None else self.improvement.calibration.fit,
             improved_comparison=None if self.improvement is None else self.improvement.after,
             improved_location=self.improved_location,
+            remainder=self.remainder,
             scales=self._scales,
         )
 
@@ -358,12 +361,19 @@ class Run:
         added = self._to_add()
         if not added:
             self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
+            self._learn_remainder(self.calibration, self.comparison)
             return
         with self._watch("improve") as watch:
             self.improvement = improve(self.calibration, watch=watch, **added)
         self.trail = self.improvement.trail
         self.improvement.write(self.store.improved)
         self.improved_location = locate(self.improvement.calibration)
+        self._learn_remainder(self.improvement.calibration, self.improvement.after)
+
+    def _learn_remainder(self, model: Calibration, compared: Comparison) -> None:
+        """Learn what the last model leaves, if it is more than noise and held-out experiments show whether it repeats."""
+        if compared.test is not None and not compared.adequate and has_remainder(model):
+            self.remainder = learn_remainder(model)
 
     def _to_add(self) -> dict[str, Any]:
         """The effects to add, as arguments of `improve`; empty without any."""

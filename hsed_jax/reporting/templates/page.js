@@ -61,7 +61,7 @@
       if (Object.hasOwn(view.getState().signals, "experiment")) view.signal("experiment", id).runAsync();
     }
     const own = tables.experiments.filter((row) => row.experiment === id);
-    const model = { before: "as it was", after: "improved" };
+    const model = { before: "as it was", after: "improved", remainder: "with the remainder" };
     const errors = own.map((row) => `error ${row.error === null ? "diverged" : row.error.toFixed(3)}${own.length > 1 ? ` ${model[row.model]}` : ""}`);
     document.getElementById("about").textContent = own.length ? `${own[0].split}; ${errors.join(", ")}` : "";
   };
