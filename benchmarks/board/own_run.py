@@ -37,7 +37,8 @@ def own_run(specimen: Specimen, question: str, overrides: Sequence[str], limit: 
         limit: seconds after which the run is given up; None: never.
 
     Returns:
-        `plain`, `named`, `noise`: errors of the held-out rows [1]; `verdict`, `effects`, `forms`, `behaviour`; CPU `seconds` of
+        `plain`, `named`, `noise`: errors of the held-out rows [1]; `remainder`: that with what the last model leaves, learned,
+        or of the last model where this does not help; `verdict`, `effects`, `forms`, `behaviour`; CPU `seconds` of
         the run; when it `ended`; `loop`: elongation [m] and force [N] of the prediction of held-out rows. `failed`: why there is
         no result.
     """
@@ -111,10 +112,12 @@ def _outcome(run: Path) -> dict[str, Any]:
     scale = summary["comparison"]["test"]["per_output"]["force"]["scale"]
     factor = scale / float(np.sqrt(np.mean(measured**2)))
     named = next(step["error_test"] for step in trail[::-1] if set(step["effects"]) <= set(found["effects"]))
-    learned = summary.get("discovery", {})
+    learned, rest = summary.get("discovery", {}), summary["improvement"].get("remainder", {})
+    last = rest["comparison"]["test"]["error"] if rest.get("helps") else trail[-1]["error_test"]
     return {
         "plain": _rounded(trail[0]["error_test"] * factor),
         "named": _rounded(named * factor),
+        "remainder": _rounded(last * factor),
         "noise": _rounded(summary["comparison"]["test"]["noise_floor"] * factor),
         "verdict": found["verdict"],
         "effects": found["effects"],
