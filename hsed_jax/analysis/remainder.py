@@ -48,14 +48,15 @@ class WithRemainder(Tabular):
 
     @property
     def sentence(self) -> str:
-        """Whether what the model leaves repeats with the path."""
+        """The share of the held-out error that the remainder removes."""
         if self.before.test is None or self.after.test is None:
             return "what the model leaves is learned as a function of the path; no experiment was held out to judge it"
-        change = error_change(error_cell(self.before.test.error), error_cell(self.after.test.error))
-        repeats = "repeats" if self.helps else "does not repeat"
+        first, last = self.before.test.error, self.after.test.error
+        share = f"{100 * (1 - (last / first) ** 2):.0f} %" if self.helps else "nothing"
         return (
-            f"what the model leaves {repeats} with the path of the elongation: with it, learned from the fitted rows, the error "
-            f"on experiments that were not fitted {change}"
+            "what the model leaves, learned from the fitted rows as a function of the path of the elongation (the remainder), "
+            f"explains {share} of the squared error on experiments that were not fitted: the error "
+            f"{error_change(error_cell(first), error_cell(last))}"
         )
 
     def summary(self) -> dict[str, Any]:

@@ -293,7 +293,7 @@ def _falls(run: FinishedRun) -> list[tuple[str, str, str]]:
 
 
 def _fall_notes(run: FinishedRun) -> list[str]:
-    """How the improved model was made, and whether what the last model leaves repeats with the path."""
+    """How the improved model was made, and how much of what the last model leaves a function of the path explains."""
     improvement = run.summary.get("improvement", {})
     remainder = improvement.get("remainder")
     return [*improvement.get("notes", []), *([remainder["sentence"]] if remainder else [])]

@@ -1,8 +1,9 @@
 """`results.nc`: posterior, statistics of the sampler, predictions, design and surrogate as one xarray DataTree.
 
-The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ opens the file as it is; `posterior_improved`,
-`sample_stats_improved` and `predictions_improved` are the same of the improved model, `predictions_averaged` those over the
-explanations of an ambiguous diagnosis, and `ranking` is the table of the diagnosis, `discovery` the function that was learned.
+The groups `posterior`, `sample_stats` and `observed_data` are ArviZ's, so ArviZ opens the file as it is. `posterior_improved`,
+`sample_stats_improved` and `predictions_improved` are the same of the improved model, and `predictions_with_remainder` those of
+the last model with its remainder. `predictions_averaged` are those over the explanations of an ambiguous diagnosis. `ranking` is
+the table of the diagnosis, and `discovery` is the function that was learned.
 """
 
 from collections.abc import Mapping

@@ -172,7 +172,8 @@ def warned():
 def test_the_warning_of_an_improved_model_is_shown(monkeypatch):
     assert "R-hat of A is 1.500" in repr(warned()) and "R-hat of A is 1.500" in warned()._repr_html_()
     monkeypatch.setattr("sys.stdout", kept := io.TextIOWrapper(io.BytesIO(), write_through=False))
-    tell(SimpleNamespace(trail=warned().trail, improvement=warned(), improved_location=None), "improve")
+    done = SimpleNamespace(trail=warned().trail, improvement=warned(), improved_location=None, remainder=None)
+    tell(done, "improve")
     # In the file at once, not when a buffer is full.
     assert b"warning: R-hat of A is 1.500" in kept.buffer.getvalue()
 

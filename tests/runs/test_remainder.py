@@ -58,8 +58,11 @@ def test_a_run_keeps_and_shows_the_remainder(campaign, study, tmp_path):
         error = test["force_predicted"].values - test["force_measured"].values
         assert np.sqrt(np.nanmean(error**2)) < 0.3 * np.nanstd(test["force_measured"].values)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert '<th scope="row">with the remainder</th>' in page and "What the model leaves repeats with the path" in page
-    assert str(done.remainder).startswith("what the model leaves repeats")
+    assert (
+        '<th scope="row">with the remainder</th>' in page
+        and "What the model leaves, learned from the fitted rows" in page
+    )
+    assert str(done.remainder).startswith(found["sentence"])
 
 
 def test_a_remainder_predicts_in_python_and_is_refused_where_there_is_none(campaign, study):
