@@ -30,7 +30,7 @@ _SHEETS = {
          "isolated_building"),
     ),
 }  # fmt: skip
-_METHOD_COLOURS = dict(zip((*OWN.values(), *METHODS), ("0.45", "C0", "0.65", "C1", "C2", "C3"), strict=True))
+_METHOD_COLOURS = dict(zip((*OWN.values(), *METHODS), ("0.45", "C0", "C4", "0.65", "C1", "C2", "C3"), strict=True))
 
 
 def page(rows: Rows, records: Sequence[Specimen], folder: Path) -> None:
@@ -73,7 +73,8 @@ def text(rows: Rows) -> str:
 # Measured specimens
 
 Each record is a raw file of a laboratory. The file goes in, every default is kept, and nothing is set by hand. hsed_jax
-calibrates the plain law of Bouc and Wen, names the missing effects and adds them. Four other methods get the same rows:
+calibrates the plain law of Bouc and Wen, names the missing effects and adds them. It then learns what this model leaves as a
+function of the path ([the remainder](discrepancy.md#the-remainder-of-a-component-test)). Four other methods get the same rows:
 
 - the **plain law**, fitted by differential evolution;
 - **Bouc-Wen-Baber-Noori**: 13 parameters with degradation and pinching, fitted by differential evolution;
@@ -82,7 +83,8 @@ calibrates the plain law of Bouc and Wen, names the missing effects and adds the
 
 Each method knows the elongation of all rows and the force of the fitted rows. It simulates from the start of the test.
 hsed_jax also knows the force of the other rows: it does not fit them, but chooses with them between the sets that it has
-fitted ([how](diagnosis.md)). Its error is therefore a little too small in this comparison.
+fitted ([how](diagnosis.md)), and it leaves out a remainder that does not help there. Its error is therefore a little too small
+in this comparison.
 
 An error is the RMS of the residual over the RMS of the measured force, on rows that were not fitted. An error of 1 is that of a
 force of zero. A record of more than {MOST_ROWS} rows is thinned ([long records](measurements.md#long-records)).
@@ -157,7 +159,7 @@ def picture_of_errors(rows: Rows, path: Path) -> None:
     """Draw the errors of every method on the last rows: a point for each record, dark where every method has run, and the median
     of the dark points as a line."""
     everywhere = [row["case"] for row in by_all(rows)]
-    names = [*OWN.values(), *METHODS]
+    names = [name for name in (*OWN.values(), *METHODS) if any(name in errors(row) for row in rows)]
     figure, axes = plt.subplots(figsize=(7.2, 0.4 * len(names) + 0.7), layout="constrained")
     random = np.random.default_rng(0)
     for place, name in enumerate(names[::-1]):

@@ -11,8 +11,13 @@ import numpy as np
 from board.comparisons import METHODS
 from board.records import QUESTIONS
 
-OWN = {"plain": "plain law, hsed_jax", "named": "with what is named, hsed_jax"}
-"""The program's own errors of a row, and their titles."""
+OWN = {
+    "plain": "plain law, hsed_jax",
+    "named": "with what is named, hsed_jax",
+    "remainder": "with the remainder, hsed_jax",
+}
+"""The program's own errors of a row, and their titles. Older runs have no remainder."""
+_EVERY = (OWN["plain"], OWN["named"], *METHODS)
 
 Rows = Sequence[Mapping[str, Any]]
 
@@ -30,21 +35,21 @@ def errors(row: Mapping[str, Any], question: str = QUESTIONS[0]) -> dict[str, fl
 
 def by_all(rows: Rows, question: str = QUESTIONS[0]) -> Rows:
     """The rows of which every method and the program have an error."""
-    return [row for row in rows if len(errors(row, question)) == len(METHODS) + len(OWN)]
+    return [row for row in rows if {*_EVERY} <= {*errors(row, question)}]
 
 
 def summary(rows: Rows, question: str) -> str:
-    """A line for each method: how many records, quartiles of its error, where it is the best, seconds.
+    """A line for each method that has an error of every record: quartiles of its error, where it is the best, seconds.
 
     Best is the smallest error of all methods that the table holds, on the same record.
     """
     found = [known for row in rows if (known := errors(row, question))]
-    names = [name for name in (*OWN.values(), *METHODS) if any(name in known for known in found)]
+    names = [name for name in (*OWN.values(), *METHODS) if all(name in known for known in found)]
     heads = ["method", "records", "median error", "quartiles", "best on", "error above 1 on", "median s"]
     lines = [heads, ["---"] * len(heads)]
     for name in names:
-        values = np.asarray([known[name] for known in found if name in known])
-        best = sum(min(known, key=lambda one: known[one]) == name for known in found)
+        values = np.asarray([known[name] for known in found])
+        best = sum(min(names, key=lambda one: known[one]) == name for known in found)
         low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
         seconds = [s for row in rows if (s := _seconds(row, question, name)) is not None]
         lines.append([
@@ -61,6 +66,10 @@ def markdown(rows: Rows) -> str:
         if own := by_all(rows, question):
             count = f"{len(own)} records that every method has run"
             parts.append(f"{question.capitalize()}, {count}:\n\n{summary(own, question)}")
+        learned = [row for row in own if OWN["remainder"] in errors(row, question)]
+        if 0 < len(learned) < len(own):
+            count = f"the {len(learned)} of these records that were run since the remainder is learned"
+            parts.append(f"{question.capitalize()}, {count}:\n\n{summary(learned, question)}")
         others = [{**row, "own": {}} for row in rows]
         count = sum(bool(errors(row, question)) for row in others)
         if count > len(own):
@@ -72,7 +81,7 @@ def markdown(rows: Rows) -> str:
 
 def record_table(rows: Rows) -> str:
     """A line for each record that has an error: errors of all methods, what is named, verdict, seconds of the program's run."""
-    titles = [*OWN.values(), *METHODS]
+    titles = _titles(rows, QUESTIONS[0])
     heads = ["record", *titles, "named", "verdict", "s"]
     lines = [heads, ["---"] * len(heads)]
     for row in rows:
@@ -92,7 +101,7 @@ def record_table(rows: Rows) -> str:
 
 def cycle_table(rows: Rows) -> str:
     """A line for each record: errors of the cycles that were left out, by method."""
-    titles = [*OWN.values(), *METHODS]
+    titles = _titles(rows, QUESTIONS[1])
     heads = ["record", *titles]
     lines = [heads, ["---"] * len(heads)]
     for row in rows:
@@ -117,6 +126,12 @@ def refusals(rows: Rows) -> dict[str, list[str]]:
 def cell(value: float | None) -> str:
     """Three decimals; two digits of what is smaller than these can show."""
     return "–" if value is None else f"{value:.3f}" if value >= 1e-3 else f"{value:.1e}"
+
+
+def _titles(rows: Rows, question: str) -> list[str]:
+    """The methods that have an error of any record."""
+    found = {name for row in rows for name in errors(row, question)}
+    return [name for name in (*OWN.values(), *METHODS) if name in found]
 
 
 def _seconds(row: Mapping[str, Any], question: str, name: str) -> float | None:

@@ -174,13 +174,32 @@ OWN = {"plain": 0.9, "named": 0.05, "noise": 0.01, "verdict": "missing_effects",
        "behaviour": "strength falls", "ended": "2026-11-26T12:00", "loop": [[0.0], [0.0]]}  # fmt: skip
 
 
+def rows_of(*remainders):
+    """Three records, whose runs have such errors with the remainder; None: they ran before it was learned."""
+    held = ((0.8, 0.2, 0.3, 2.0), (0.6, 0.4, 0.1, 1.5), (0.7, 0.3, 0.2, 0.5))
+    runs = [
+        {**OWN, "named": named} | ({} if remainder is None else {"remainder": remainder})
+        for named, remainder in zip((0.05, 0.5, 0.6), remainders, strict=True)
+    ]
+    return [row(*one) for one in zip("abc", held, runs, strict=True)]
+
+
 def test_the_summary_counts_what_its_rows_hold():
-    rows = [row("a", (0.8, 0.2, 0.3, 2.0), OWN), row("b", (0.6, 0.4, 0.1, 1.5)), row("c", (0.7, 0.3, 0.2, 0.5))]
-    lines = {line.split(" | ")[0].removeprefix("| "): line for line in table.summary(rows, "last rows").splitlines()}
-    assert lines["with what is named, hsed_jax"].startswith("| with what is named, hsed_jax | 1 | **0.050** |")
+    found = table.summary(rows_of(None, None, None), "last rows")
+    lines = {line.split(" | ")[0].removeprefix("| "): line for line in found.splitlines()}
+    assert lines["with what is named, hsed_jax"].startswith("| with what is named, hsed_jax | 3 | **0.500** |")
     assert lines["Bouc-Wen-Baber-Noori"] == "| Bouc-Wen-Baber-Noori | 3 | **0.300** | 0.250 to 0.350 | 0 | 0 | 1.0 |"
     assert lines["Gaussian process"] == "| Gaussian process | 3 | **0.200** | 0.150 to 0.250 | 2 | 0 | 1.0 |"
     assert lines["recurrent network"].split(" | ")[5] == "2"
+
+
+def test_runs_without_a_remainder_are_not_compared_with_those_that_have_one():
+    told = table.markdown(rows_of(0.04, None, 0.1))
+    everywhere, learned = told.split("\n\nLast rows, ")
+    assert "3 records" in everywhere and "with the remainder" not in everywhere
+    assert learned.startswith("the 2 of these records that were run since the remainder is learned")
+    assert "| with the remainder, hsed_jax | 2 | **0.070** | 0.055 to 0.085 | 2 | 0 | – |" in learned
+    assert "with the remainder, hsed_jax | 3 |" in table.markdown(rows_of(0.04, 0.1, 0.1))
 
 
 def test_a_refused_record_is_listed_with_its_reason():
