@@ -108,7 +108,8 @@ def learn_remainder(calibration: Calibration) -> WithRemainder:
             "a remainder is learned of component tests whose only observed output is the history of a force, and of a model "
             "without a learned discrepancy (observe: histories, channels: [force], error: {discrepancy: false})"
         )
-    remainder, posterior = remainder_of(calibration.train), calibration.fit.posterior
+    posterior = calibration.fit.posterior
+    remainder = remainder_of(calibration.train, bool(posterior.is_declared[0]))
     test = None if calibration.test is None else remainder.corrected(calibration.test)
     train = remainder.corrected(calibration.train)
     after = comparing.compare(train, test, posterior.is_declared, posterior.fitted, [])

@@ -19,12 +19,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hsed_jax.criticism.prediction import Band, Prediction
+from hsed_jax.criticism.prediction import Band, Prediction, noise_sizes
 from hsed_jax.design.kriging import Kriging, condition, fit_kriging
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Experiment
 from hsed_jax.measurements.turns import with_slips
 
+_FEATURES = 7
 # Samples that determine the correlation lengths, and samples that the prediction uses.  The first cost the cube of their number
 # at each step of the search; twice as many lower the error of six walls by a tenth at most.
 _SEARCHED, _CONDITIONED = 200, 400
@@ -40,26 +41,27 @@ class Remainder:
     Attributes:
         kriging: of measured minus predicted force [N], over features in the unit cube of the fitted ones.
         low, reach: smallest value and range of each feature of the fitted samples, (7,).
-        column: the elongation that the features describe.
+        declared: whether the noise of the force is declared.
     """
 
     kriging: Kriging
     low: np.ndarray
     reach: np.ndarray
+    declared: bool
 
     def corrected(self, prediction: Prediction) -> Prediction:
         """Predictions with the remainder added.
 
-        The part `model` of the band becomes that of the remainder: it replaces the inflation of the error by the residual of the
-        model. `without` is the band before.
+        The part `model` of the band becomes that of the remainder. It replaces the error that was inferred from the residual of
+        the model. `without` is the band before.
         """
         features = (_features_of(prediction) - self.low) / self.reach
         mean, variance = (np.asarray(v) for v in self.kriging.predict(jnp.asarray(features.reshape(-1, len(self.low)))))
         shape = prediction.used.shape
         spread = variance + float(self.kriging.nugget * self.kriging.process_variance)
-        noise = prediction.parts["noise"]
+        noise = noise_sizes(prediction, prediction.outputs[0], self.declared)
         model = np.sqrt(np.maximum(spread.reshape(shape) - noise**2, 0.0))
-        parts, correction = {**prediction.parts, "model": model}, mean.reshape(shape)
+        parts, correction = {**prediction.parts, "noise": noise, "model": model}, mean.reshape(shape)
         return replace(
             prediction,
             predicted=prediction.predicted + correction,
@@ -70,11 +72,12 @@ class Remainder:
         )
 
 
-def remainder_of(fitted: Prediction) -> Remainder:
+def remainder_of(fitted: Prediction, declared: bool) -> Remainder:
     """Learn the remainder from the fitted experiments.
 
     Arguments:
         fitted: predictions of the force of component tests, one output.
+        declared: whether its noise is declared; otherwise it is what the records show.
 
     Raises:
         UserError: the output is not a force alone, an elongation is not measured, or fewer than 20 samples are fitted.
@@ -101,10 +104,7 @@ def remainder_of(fitted: Prediction) -> Remainder:
         )
 
     found = fit_kriging(*part(_SEARCHED), starts=1, key=jax.random.key(0))
-    return Remainder(condition(*part(_CONDITIONED), found.lengths, found.nugget), low, reach)
-
-
-_FEATURES = 7
+    return Remainder(condition(*part(_CONDITIONED), found.lengths, found.nugget), low, reach, declared)
 
 
 def _features_of(prediction: Prediction) -> np.ndarray:

@@ -60,7 +60,7 @@ def test_cycles_that_were_left_out_are_predicted_within_the_band(cycles, seed):
     u, residual, number = cycles
     measured = residual + NOISE * np.random.default_rng(seed).normal(size=u.size)
     left_out = number % 3 == 2
-    remainder = remainder_of(prediction_of(measured, u, ~left_out))
+    remainder = remainder_of(prediction_of(measured, u, ~left_out), True)
     found = remainder.corrected(prediction_of(measured, u, left_out))
     wrong = (found.mean[0] - residual)[left_out]
     # A residual of a hundred times the variance of the noise; what is left is about the noise.
@@ -72,11 +72,23 @@ def test_cycles_that_were_left_out_are_predicted_within_the_band(cycles, seed):
     assert_allclose(found.without.mean, 0.0) and found.without.sd == pytest.approx(np.hypot(5e3, NOISE))
 
 
+def test_an_error_that_nobody_declared_is_no_noise_of_the_remainder(cycles):
+    u, residual, number = cycles
+    measured = residual + NOISE * np.random.default_rng(0).normal(size=u.size)
+    left_out = number % 3 == 2
+    inferred = 1.1e3  # from the residual itself
+    remainder = remainder_of(prediction_of(measured, u, ~left_out, inferred), False)
+    found = remainder.corrected(prediction_of(measured, u, left_out, inferred))
+    assert np.median(found.parts["noise"][0, left_out]) == pytest.approx(NOISE, rel=0.5)
+    assert np.median(found.sd[0, left_out]) < 0.3 * inferred
+    assert (np.abs(found.mean[0] - measured)[left_out] < 1.645 * found.sd[0, left_out]).mean() > 0.85
+
+
 def test_far_from_the_fitted_paths_the_band_holds_the_residual(cycles):
     u, residual, number = cycles
     measured = residual + NOISE * np.random.default_rng(0).normal(size=u.size)
     is_larger = number >= 9
-    found = remainder_of(prediction_of(measured, u, ~is_larger)).corrected(prediction_of(measured, u, is_larger))
+    found = remainder_of(prediction_of(measured, u, ~is_larger), True).corrected(prediction_of(measured, u, is_larger))
     before, after = (np.sqrt(np.mean(x[is_larger] ** 2)) for x in (residual, found.mean[0] - residual))
     assert after < 1.1 * before
     assert np.median(found.sd[0, is_larger]) > 2 * np.median(found.sd[0, ~is_larger])
@@ -87,7 +99,7 @@ def test_of_noise_nothing_is_learned(cycles):
     u, _, number = cycles
     noise = NOISE * np.random.default_rng(1).normal(size=u.size)
     left_out = number % 3 == 2
-    found = remainder_of(prediction_of(noise, u, ~left_out)).corrected(prediction_of(noise, u, left_out))
+    found = remainder_of(prediction_of(noise, u, ~left_out), True).corrected(prediction_of(noise, u, left_out))
     assert np.sqrt(np.mean(found.mean[0, left_out] ** 2)) < 0.35 * NOISE
 
 
@@ -96,7 +108,9 @@ def test_the_same_cycles_with_a_noisy_elongation(cycles):
     random = np.random.default_rng(2)
     measured, noisy = residual + NOISE * random.normal(size=u.size), u + 1e-5 * random.normal(size=u.size)
     left_out = number % 3 == 2
-    found = remainder_of(prediction_of(measured, noisy, ~left_out)).corrected(prediction_of(measured, noisy, left_out))
+    found = remainder_of(prediction_of(measured, noisy, ~left_out), True).corrected(
+        prediction_of(measured, noisy, left_out)
+    )
     wrong = (found.mean[0] - residual)[left_out]
     assert np.sqrt(np.mean(wrong**2)) < 0.25 * np.sqrt(np.mean(residual[left_out] ** 2))
 
@@ -104,9 +118,9 @@ def test_the_same_cycles_with_a_noisy_elongation(cycles):
 def test_without_an_elongation_or_with_few_samples_it_is_refused(cycles):
     u, residual, _ = cycles
     with pytest.raises(UserError, match="at least 20 fitted samples of one force; there are 10 of force"):
-        remainder_of(prediction_of(residual, u, np.arange(u.size) < 10))
+        remainder_of(prediction_of(residual, u, np.arange(u.size) < 10), True)
     unknown = prediction_of(residual, u, np.ones(u.size, dtype=bool))
     record = Record(np.arange(u.size, dtype=float), {"force": residual})
     unknown = Prediction(**{**vars(unknown), "experiments": (Experiment("E01", record=record),)})
     with pytest.raises(UserError, match="E01: a remainder is a function of the elongation, which was not recorded"):
-        remainder_of(unknown)
+        remainder_of(unknown, True)
