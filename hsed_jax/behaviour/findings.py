@@ -65,10 +65,10 @@ class Behaviour:
     Attributes:
         quantity: a key of `QUANTITIES`.
         change: `falls`, `grows`, or `is there` where it is the same all the time; `differs` where it stays, and is not that of
-            the first model.
+            the same specimen without the named effects.
         drivers: the variables with which it changes, with the predictivity of each alone, from 0 to 1; the best first.
         before, after: of the virgin specimen and after the whole test; of a force that an effect adds, at the least and at the
-            largest elongation or rate; where it differs, of the first model and with the effects.
+            largest elongation or rate; where it differs, without the named effects and with them.
         unit: SI, of the pair that the specimen is measured in.
         sides: `both`, `tension` or `compression`.
         specimen: its name, where there are several.
@@ -134,12 +134,10 @@ class Behaviours(Tabular):
 
     @property
     def sentence(self) -> str:
-        """The main changes in one sentence; empty if nothing changes."""
+        """The main changes, and what stays, in one sentence."""
         main = [one for one in self.changes if one.quantity not in _FURTHER]
         is_told = any(one.quantity in ("initial_stiffness", "strength") for one in main)
         said = [one.sentence for one in (main if is_told else self.changes)[:_SAID]]
-        if not said:
-            return ""
         return "; ".join([*said, *(self._stays(name, change) for name, change in self.steady.items())])
 
     def _stays(self, name: str, change: float) -> str:
@@ -205,7 +203,7 @@ def told(one: Behaviour, pair: Pair, largest: float = math.inf) -> str:
     if one.change == "differs":
         was = number(one.before.mean)
         now = f"{number(one.after.mean)}{unit_text} {interval}"
-        return f"{owner}{words}{side} is {now} instead of {was}{unit_text}"
+        return f"{owner}{words}{side} is {now}, without the named effects {was}{unit_text}"
     ends = f"from {number(one.before.mean)} to {number(one.after.mean)}{unit_text}"
     return f"{owner}{words}{side} {one.change} {ends}{by} {interval}"
 

@@ -127,7 +127,7 @@ class Probe:
             own = [replace(one, drivers=drivers.get(_read(one), {})) for one in own]
             errors = model_error * strength * _normal(_DRAWS // 2, random)
             own += self._added(best, element, draws[: _DRAWS // 2], errors)
-            own = own or self._apart(before, after, element)
+            own += self._apart(law, after, ("recentring",) if own else _LASTING, element)
             changes += [replace(one, sentence=told(one, self.problem.pair, largest)) for one in own]
             moved = {q: _moved(after, q) for q in _STEADY if q not in {one.quantity for one in own}}
             steady |= {named(element.name, q): most for q, most in moved.items() if most <= _STAYS}
@@ -218,17 +218,17 @@ class Probe:
         )
 
     def _apart(
-        self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], element: Element
+        self, law: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray], names: Sequence[str], element: Element
     ) -> list[Behaviour]:
-        """Quantities that are constant along the test and differ clearly from those of the first model, the largest difference
-        first."""
+        """Those of some quantities that are constant along the test and differ clearly from those of the law alone, the largest
+        difference first."""
         found: list[tuple[float, Behaviour]] = []
-        for name in _LASTING:
-            was, now = float(before[name].mean()), after[name].mean(axis=1)
+        for name in names:
+            was, now, value = float(law[name].mean()), after[name].mean(axis=0), _value(after[name].mean(axis=1))
             quantity, unit = name.rstrip("+-"), QUANTITIES[name.rstrip("+-")][1]
-            scale = 1.0 if unit == "1" else max(abs(was), abs(now.mean()))
-            apart, value = abs(now.mean() - was) / scale, _value(now)
-            if apart > PRACTICAL and not value.q05 <= was <= value.q95:
+            scale = 1.0 if unit == "1" else max(abs(was), abs(value.mean))
+            apart, is_constant = abs(value.mean - was) / scale, np.ptp(now) <= PRACTICAL * scale
+            if apart > PRACTICAL and is_constant and not value.q05 <= was <= value.q95:
                 constant, unit = Value(was, was, was), self.problem.pair.unit(unit)
                 found.append((apart, Behaviour(quantity, "differs", {}, constant, value, unit, specimen=element.name)))
         return [one for _, one in sorted(found, key=lambda one: -one[0])]
@@ -348,7 +348,7 @@ class Probe:
         return {f"{e}.{one.name}": one.neutral for e, one in amplitudes.items() if one.neutral is not None}
 
 
-# These quantities are compared with the first model if nothing changes along the test.
+# These quantities are compared with those of the law alone if nothing changes along the test; the recentring always is.
 _LASTING = ("recentring", "initial_stiffness", "strength+", "pinching_ratio", "sharpness")
 
 

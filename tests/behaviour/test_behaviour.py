@@ -313,8 +313,10 @@ def test_the_main_changes_are_said_first_and_what_stays_is_compared_with_the_mod
     constant["-"] = ProbedCurve(*np.full((4, 3), -4e4))
     of_sides = Behaviours(falls[2:3], {"strength": 0.034}, {f"strength{s}": c for s, c in constant.items()})
     assert of_sides.sentence == "strength; strength stays within 3 % of 51 kN in tension and 40 kN in compression"
+    of_none = Behaviours((), {"strength": 0.034}, {"strength+": constant["+"]})
+    assert of_none.sentence == "strength stays within 3 % of 51 kN" and Behaviours().sentence == ""
     flag = Behaviour("recentring", "differs", {}, Value(0.42, 0.42, 0.42), Value(0.97, 0.96, 0.98), "1")
-    assert told(flag, ELONGATION_AND_FORCE) == "recentring is 0.97 (90 %: 0.96 to 0.98) instead of 0.42"
+    assert told(flag, ELONGATION_AND_FORCE) == "recentring is 0.97 (90 %: 0.96 to 0.98), without the named effects 0.42"
 
 
 def test_short_and_long_histories_together_have_the_forces_of_the_closed_form():

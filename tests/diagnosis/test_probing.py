@@ -48,7 +48,7 @@ def test_what_a_law_does_without_any_effect_is_no_change():
     # The slope at zero force differs along the test, because the corners become round.
     curve = found.curves["initial_stiffness"].mean
     assert abs(curve[-1] / curve[0] - 1) > 0.1
-    assert found.changes == [] and found.sentence == ""
+    assert found.changes == [] and "; strength stays within 4 % of 80.1 kN" in found.sentence
 
 
 @pytest.mark.whole
@@ -80,6 +80,16 @@ def test_a_strength_that_no_measured_force_comes_near_is_told_as_an_extrapolatio
     (strength,) = (one for one in found.changes if one.quantity == "strength")
     assert strength.before.mean > 1.5e5
     assert "is an extrapolation, the largest measured force is 80 kN" in strength.sentence
+
+
+@pytest.mark.whole
+def test_that_a_specimen_returns_to_zero_is_told_though_it_does_so_all_the_time():
+    # A tendon of the strength of the law beside it: the force is zero near the origin, and not at half of the elongation.
+    law = {"spring": "bouc_wen", "parameters": {"A": 1e7, "beta": 250.0, "gamma": 0.0}}
+    found = told(law, {"self_centering.delta": 1.0}, {"self_centering"}, 0.01)
+    (returns,) = (one for one in found.changes if one.quantity == "recentring")
+    assert returns.change == "differs" and returns.after.mean > returns.before.mean + 0.3
+    assert "without the named effects" in returns.sentence and "recentring is" in found.sentence
 
 
 @pytest.mark.whole
