@@ -29,6 +29,8 @@ _FEATURES = 7
 # Samples that determine the correlation lengths, and samples that the prediction uses.  The first cost the cube of their number
 # at each step of the search; twice as many lower the error of six walls by a tenth at most.
 _SEARCHED, _CONDITIONED = 200, 400
+# Samples that are predicted together: one program serves campaigns of all lengths.
+_BLOCK = 1024
 _LEAST = 20
 """Fewer fitted samples determine no correlation lengths."""
 
@@ -56,12 +58,12 @@ class Remainder:
         the model. `without` is the band before.
         """
         features = (_features_of(prediction) - self.low) / self.reach
-        mean, variance = (np.asarray(v) for v in self.kriging.predict(jnp.asarray(features.reshape(-1, len(self.low)))))
-        shape = prediction.used.shape
-        spread = variance + float(self.kriging.nugget * self.kriging.process_variance)
+        recorded = np.isfinite(features[..., 0])
+        correction, spread = np.zeros((2, *recorded.shape))
+        correction[recorded], variance = self._at(features[recorded])
+        spread[recorded] = variance + float(self.kriging.nugget * self.kriging.process_variance)
         noise = noise_sizes(prediction, prediction.outputs[0], self.declared)
-        model = np.sqrt(np.maximum(spread.reshape(shape) - noise**2, 0.0))
-        parts, correction = {**prediction.parts, "noise": noise, "model": model}, mean.reshape(shape)
+        parts = {**prediction.parts, "noise": noise, "model": np.sqrt(np.maximum(spread - noise**2, 0.0))}
         return replace(
             prediction,
             predicted=prediction.predicted + correction,
@@ -70,6 +72,14 @@ class Remainder:
             parts=parts,
             without=Band(prediction.mean, dict(prediction.parts)),
         )
+
+    def _at(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean [N] and variance [N²] at features in the unit cube, (m,) each."""
+        size = len(features)
+        blocks = np.split(np.pad(features, ((0, -size % _BLOCK), (0, 0))), -(-size // _BLOCK))
+        found = [self.kriging.predict(jnp.asarray(block)) for block in blocks]
+        mean, variance = (np.concatenate(part)[:size] for part in zip(*found, strict=True))
+        return mean, variance
 
 
 def remainder_of(fitted: Prediction, declared: bool) -> Remainder:
@@ -108,8 +118,8 @@ def remainder_of(fitted: Prediction, declared: bool) -> Remainder:
 
 
 def _features_of(prediction: Prediction) -> np.ndarray:
-    """Features of the path at every column of every experiment, (n, J, 7); zero beyond the end of a record."""
-    found = np.zeros((*prediction.used.shape, _FEATURES))
+    """Features of the path at every column of every experiment, (n, J, 7); NaN beyond the end of a record."""
+    found = np.full((*prediction.used.shape, _FEATURES), np.nan)
     for row, experiment in enumerate(prediction.experiments):
         features = path_features(_elongation(experiment))
         found[row, : len(features)] = features
