@@ -1,5 +1,7 @@
 """A small study of the paper's case, as text and as a mapping."""
 
+import yaml
+
 from hsed_jax.config.load import parse_yaml
 
 SMALL = """
@@ -28,5 +30,11 @@ calibration: {chains: 2, warmup: 20, draws: 40, step_warmup: 10, step_draws: 10}
 """
 
 
-def content() -> dict:
-    return parse_yaml(SMALL, "small")
+def content(**changes) -> dict:
+    """The study as a mapping, with other values of some of its keys."""
+    return {**parse_yaml(SMALL, "small"), **changes}
+
+
+def text(**changes) -> str:
+    """The same as YAML."""
+    return yaml.safe_dump(content(**changes), sort_keys=False)

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import xarray as xr
 import yaml
+from builders import studies
 
 from hsed_jax.analysis.calibration import calibrate_built
 from hsed_jax.command_line import run_main
@@ -38,32 +39,8 @@ from hsed_jax.runs.reading import read_run
 from hsed_jax.runs.workflow import Run, run
 from hsed_jax.study.build import Built
 
-SMALL = """
-study: small
-seed: 3
-structure:
-  masses: [8.0e3, 9.0e3]
-  springs: [{between: [ground, 1], stiffness: 4.0e5}, {between: [2, ground], stiffness: 1.0e6}]
-  specimen: {between: [1, 2]}
-  damping: {modal: 0.05, specimen_stiffness: 5.0e5}
-excitation:
-  near_fault_pulse: {V_P: V_P, T_P: T_P}
-  duration: 10.0
-inputs:
-  V_P: {uniform: [150.0, 300.0], unit: cm/s}
-  T_P: {uniform: [0.5, 1.5], unit: s}
-model:
-  parameters: {A: {uniform: [2.0e5, 9.0e5]}, beta: {uniform: [0.5, 2.0]}, gamma: 0.0, n: 1.0}
-experiments:
-  virtual:
-    parameters: {A: 5.0e5, beta: 1.0, gamma: 0.0, n: 1.0}
-    effects: {stiffness_degradation: {eta: 2.0e-5}}
-    noise: {relative: 0.01}
-error: {relative: 0.05}
-steps: [design, calibrate]
-design: {initial: 3, iterations: 3, candidates: 256}
-calibration: {chains: 2, warmup: 20, draws: 40, step_warmup: 10, step_draws: 10}
-"""
+IN_CM = {"V_P": {"uniform": [150.0, 300.0], "unit": "cm/s"}, "T_P": {"uniform": [0.5, 1.5], "unit": "s"}}
+NOISY = {"virtual": {**studies.content()["experiments"]["virtual"], "noise": {"relative": 0.01}}}
 QUANTITIES = ("peak_force", "peak_elongation", "dissipated_energy")
 # A run compiles for a minute on a cold cache and a slow machine.
 PATIENCE = 400
@@ -110,7 +87,7 @@ def summary_text(folder):
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
     path = tmp_path_factory.mktemp("study") / "small.yaml"
-    path.write_text(SMALL)
+    path.write_text(studies.text(inputs=IN_CM, experiments=NOISY, steps=["design", "calibrate"]))
     return path
 
 

@@ -18,6 +18,7 @@ import psutil
 import pytest
 import xarray as xr
 import yaml
+from builders import studies
 from distributed import default_client
 
 import hsed_jax as hx
@@ -31,27 +32,6 @@ from hsed_jax.sweeps.plan import Plan, plan_of
 from hsed_jax.sweeps.results import dataset_of, scalars, table_of
 from hsed_jax.sweeps.sweep import gather, sweep
 
-SMALL = """
-study: small
-structure:
-  masses: [8.0e3, 9.0e3]
-  springs: [{between: [ground, 1], stiffness: 4.0e5}, {between: [2, ground], stiffness: 1.0e6}]
-  specimen: {between: [1, 2]}
-  damping: {modal: 0.05, specimen_stiffness: 5.0e5}
-excitation:
-  near_fault_pulse: {V_P: V_P, T_P: T_P}
-  duration: 4.0
-inputs:
-  V_P: {uniform: [1.5, 3.0], unit: m/s}
-  T_P: {uniform: [0.5, 1.5], unit: s}
-model:
-  parameters: {A: {uniform: [2.0e5, 9.0e5]}, beta: {uniform: [0.5, 2.0]}, gamma: 0.0, n: 1.0}
-experiments:
-  python: {file: rig.py, function: perform}
-error: {relative: 0.05}
-steps: [design]
-design: {initial: 4, iterations: 0}
-"""
 # Of a rig that may take its process with it: `dies_once` the first time, `dies` and `stops` as long as there is a file `broken`.
 RIG = """
 import os
@@ -104,7 +84,12 @@ def study(file):
 def written(folder: Path) -> Path:
     (folder / "rig.py").write_text(RIG)
     path = folder / "small.yaml"
-    path.write_text(SMALL)
+    excitation = {**studies.content()["excitation"], "duration": 4.0}
+    rig = {"python": {"file": "rig.py", "function": "perform"}}
+    design = {"initial": 4, "iterations": 0}
+    path.write_text(
+        studies.text(seed=0, excitation=excitation, experiments=rig, steps=["design"], design=design, calibration={})
+    )
     return path
 
 
