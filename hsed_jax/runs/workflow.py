@@ -356,24 +356,21 @@ class Run:
             self.discovery.write(self.store.path / self.discovery.file)
 
     def _improve(self) -> None:
-        assert self.calibration is not None
-        assert self.comparison is not None
-        added = self._to_add()
-        if not added:
-            self.trail = Trail([step_of([], self.comparison, self.calibration.map)], self.comparison.train.noise_floor)
-            self._learn_remainder(self.calibration, self.comparison)
-            return
+        last, compared = self.calibration, self.comparison
+        assert last is not None
+        assert compared is not None
         with self._watch("improve") as watch:
-            self.improvement = improve(self.calibration, watch=watch, **added)
-        self.trail = self.improvement.trail
-        self.improvement.write(self.store.improved)
-        self.improved_location = locate(self.improvement.calibration)
-        self._learn_remainder(self.improvement.calibration, self.improvement.after)
-
-    def _learn_remainder(self, model: Calibration, compared: Comparison) -> None:
-        """Learn what the last model leaves, if it is more than noise and held-out experiments show whether it repeats."""
-        if compared.test is not None and not compared.adequate and has_remainder(model):
-            self.remainder = learn_remainder(model)
+            if added := self._to_add():
+                self.improvement = improve(last, watch=watch, **added)
+                last, compared = self.improvement.calibration, self.improvement.after
+                self.trail = self.improvement.trail
+                self.improvement.write(self.store.improved)
+                self.improved_location = locate(last)
+            else:
+                self.trail = Trail([step_of([], compared, last.map)], compared.train.noise_floor)
+            if compared.test is not None and not compared.adequate and has_remainder(last):
+                watch.report("what the model leaves")
+                self.remainder = learn_remainder(last)
 
     def _to_add(self) -> dict[str, Any]:
         """The effects to add, as arguments of `improve`; empty without any."""
