@@ -59,7 +59,7 @@ class Remainder:
         """
         features = (_features_of(prediction) - self.low) / self.reach
         recorded = np.isfinite(features[..., 0])
-        correction, spread = np.zeros((2, *recorded.shape))
+        correction, spread = np.zeros(recorded.shape), np.zeros(recorded.shape)
         correction[recorded], variance = self._at(features[recorded])
         spread[recorded] = variance + float(self.kriging.nugget * self.kriging.process_variance)
         noise = noise_sizes(prediction, prediction.outputs[0], self.declared)
