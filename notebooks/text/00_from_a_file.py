@@ -90,14 +90,4 @@ axes = hx.plot.before_after(better)
 # The held-out error falls from 0.685 to 0.030. In the figure, the improved law (blue) follows the held-out cycles (grey
 # area). The result is: *the strength of the column falls with the absorbed energy*. This is the effect in the first code cell.
 #
-# An error can also be lowered without a name. `learn_remainder` learns what a model leaves of the force as a function of the
-# path of the elongation (the *remainder*). Here it is that of the plain law:
-
-# %%
-hx.learn_remainder(fit)
-
-# %% [markdown]
-# The remainder corrects cycles that resemble the fitted ones. It does not know that the strength falls further, so the
-# held-out error stays at 0.662. The named effect predicts the later cycles.
-#
 # In a terminal, `hsed run FILE` performs all these steps and writes a report.

@@ -134,5 +134,14 @@ axes = hx.plot.before_after(better)
 # The error falls to the noise, also on the held-out tests. This is valid within the tested range. Beyond 40 mm, the friction
 # of the model keeps its value at 40 mm. Only a test with larger elongations can show the true friction there.
 #
+# An error can also be lowered without a formula. `learn_remainder` learns what a model leaves of the force as a function of the
+# path of the elongation, the *remainder*. Here it is that of the spring without its guide:
+
+# %%
+hx.learn_remainder(fit)
+
+# %% [markdown]
+# TODO
+#
 # In a terminal, `hsed discover study.yaml` performs all these steps. [The page on discovery](../docs/discovery.md) describes
 # how a place is chosen, and the limits of the method.
