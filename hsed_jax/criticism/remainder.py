@@ -139,7 +139,8 @@ def path_features(elongation: np.ndarray) -> np.ndarray:
     [m]; the length of the path so far [m]. Turns are those that exceed the noise of the record.
     """
     ends = with_slips(elongation)
-    which = np.clip(np.searchsorted(ends, np.arange(elongation.size), side="right") - 1, 0, ends.size - 2)
+    # A turning point is the end of the branch before it, on which its force still is.
+    which = np.clip(np.searchsorted(ends, np.arange(elongation.size)) - 1, 0, ends.size - 2)
     points = elongation[ends]
     ways, last = np.diff(points), points[which]
     behind = np.concatenate([[0.0], np.cumsum(np.abs(ways))])[which]

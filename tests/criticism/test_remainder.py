@@ -47,9 +47,9 @@ def test_features_of_a_path_by_hand():
     u = np.asarray([0.0, 1.0, 2.0, 1.0, -1.0, -2.0, 0.0, 3.0])
     found = path_features(u)
     assert_allclose(found[:, 0], u)
-    assert_allclose(found[:, 1], [1, 1, -1, -1, -1, 1, 1, 1])  # of the way that begins here
-    assert_allclose(found[:, 2], [0, 0, 2, 2, 2, -2, -2, -2])
-    assert_allclose(found[:, 3], [0, 0, 0, 0, 0, 2, 2, 2])
+    assert_allclose(found[:, 1], [1, 1, 1, -1, -1, -1, 1, 1])
+    assert_allclose(found[:, 2], [0, 0, 0, 2, 2, 2, -2, -2])
+    assert_allclose(found[:, 3], [0, 0, 0, 0, 0, 0, 2, 2])
     assert_allclose(found[:, 4], [0, 1, 2, 2, 2, 2, 2, 3])
     assert_allclose(found[:, 5], [0, 0, 0, 0, -1, -2, -2, -2])
     assert_allclose(found[:, 6], [0, 1, 2, 3, 5, 6, 8, 11])
