@@ -141,7 +141,8 @@ axes = hx.plot.before_after(better)
 hx.learn_remainder(fit)
 
 # %% [markdown]
-# TODO
+# The remainder predicts the held-out tests as well, because their cycles resemble the fitted ones. It is no effect: it has no
+# formula, and it belongs to this model of this specimen under imposed cycles. The learned effect can be used in another model.
 #
 # In a terminal, `hsed discover study.yaml` performs all these steps. [The page on discovery](../docs/discovery.md) describes
 # how a place is chosen, and the limits of the method.

@@ -84,6 +84,16 @@ def test_an_error_that_nobody_declared_is_no_noise_of_the_remainder(cycles):
     assert (np.abs(found.mean[0] - measured)[left_out] < 1.645 * found.sd[0, left_out]).mean() > 0.85
 
 
+def test_a_friction_that_changes_its_sign_at_every_turn_is_learned_up_to_the_turns():
+    amplitudes = np.repeat([20, 30, 40, 25, 35], 100) * 1e-3  # two cycles of each, whose peaks are between two samples
+    u = amplitudes * np.sin(np.pi * 0.04 * np.arange(amplitudes.size))
+    friction = 1.5e4 * (u / 0.04) ** 2 * np.sign(np.cos(np.pi * 0.04 * np.arange(u.size)))
+    held = np.arange(u.size) >= 300
+    found = remainder_of(prediction_of(friction, u, ~held), True).corrected(prediction_of(friction, u, held))
+    wrong = (found.mean[0] - friction)[held]
+    assert np.sqrt(np.mean(wrong**2)) < 0.15 * np.sqrt(np.mean(friction[held] ** 2))
+
+
 def test_far_from_the_fitted_paths_the_band_holds_the_residual(cycles):
     u, residual, number = cycles
     measured = residual + NOISE * np.random.default_rng(0).normal(size=u.size)
