@@ -7,7 +7,7 @@ from hsed_jax.analysis.calibration import Calibration, compare
 from hsed_jax.criticism import compare as comparing
 from hsed_jax.criticism.compare import Comparison
 from hsed_jax.criticism.prediction import Prediction, error_cell, error_change
-from hsed_jax.criticism.remainder import Remainder, remainder_of
+from hsed_jax.criticism.remainder import Remainder, can_be_learned, remainder_of
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Campaign
 from hsed_jax.physics.names import own_name
@@ -74,13 +74,14 @@ class WithRemainder(Tabular):
 
 
 def has_remainder(calibration: Calibration) -> bool:
-    """Whether a remainder can be learned: in a component test whose only observed output is a force history."""
+    """Whether a remainder can be learned: in a component test whose only observed output is a long enough force history."""
     posterior = calibration.fit.posterior
     return (
         calibration.built.experiments.component_test
         and [own_name(name) for name in posterior.outputs] == ["force"]
         and posterior.groups.size > 1
         and calibration.fit.discrepancy is None
+        and can_be_learned(calibration.train)
     )
 
 
@@ -105,8 +106,9 @@ def learn_remainder(calibration: Calibration) -> WithRemainder:
     """
     if not has_remainder(calibration):
         raise UserError(
-            "a remainder is learned of component tests whose only observed output is the history of a force, and of a model "
-            "without a learned discrepancy (observe: histories, channels: [force], error: {discrepancy: false})"
+            "a remainder is learned of component tests whose only observed output is the history of a force, from at least 20 "
+            "fitted samples, and of a model without a learned discrepancy (observe: histories, channels: [force], error: "
+            "{discrepancy: false})"
         )
     posterior = calibration.fit.posterior
     remainder = remainder_of(calibration.train, bool(posterior.is_declared[0]))

@@ -82,6 +82,12 @@ class Remainder:
         return mean, variance
 
 
+def can_be_learned(fitted: Prediction) -> bool:
+    """Whether there are 20 fitted samples of one force, and elongations without gaps."""
+    is_recorded = all(np.isfinite(_elongation(experiment)).all() for experiment in fitted.experiments)
+    return len(fitted.outputs) == 1 and is_recorded and int(_learned_from(fitted).sum()) >= _LEAST
+
+
 def remainder_of(fitted: Prediction, declared: bool) -> Remainder:
     """Learn the remainder from the fitted experiments.
 
@@ -90,14 +96,14 @@ def remainder_of(fitted: Prediction, declared: bool) -> Remainder:
         declared: whether its noise is declared; otherwise it is what the records show.
 
     Raises:
-        UserError: the output is not a force alone, an elongation is not measured, or fewer than 20 samples are fitted.
+        UserError: `can_be_learned` is false.
     """
-    rows = np.flatnonzero(fitted.used & ~fitted.diverged[:, None])
-    if len(fitted.outputs) != 1 or rows.size < _LEAST:
+    if not can_be_learned(fitted):
         raise UserError(
-            f"a remainder is learned from at least {_LEAST} fitted samples of one force; there are {rows.size} of "
-            f"{', '.join(fitted.outputs)}"
+            f"a remainder is learned from at least {_LEAST} fitted samples of one force whose elongation was recorded without "
+            "gaps"
         )
+    rows = np.flatnonzero(_learned_from(fitted))
     every = _features_of(fitted).reshape(-1, _FEATURES)
     low, high = every[rows].min(axis=0), every[rows].max(axis=0)
     reach = np.where(high > low, high - low, 1.0)
@@ -127,9 +133,14 @@ def _features_of(prediction: Prediction) -> np.ndarray:
 
 
 def _elongation(experiment: Experiment) -> np.ndarray:
-    if experiment.record is None or "elongation" not in experiment.record.channels:
-        raise UserError(f"{experiment.id}: a remainder is a function of the elongation, which was not recorded")
-    return experiment.record["elongation"]
+    """The elongation of an experiment; NaN if it was not recorded."""
+    record = experiment.record
+    return np.full(2, np.nan) if record is None else record.channels.get("elongation", np.full(len(record), np.nan))
+
+
+def _learned_from(fitted: Prediction) -> np.ndarray:
+    """The fitted samples, (n, J)."""
+    return fitted.used & ~fitted.diverged[:, None]
 
 
 def path_features(elongation: np.ndarray) -> np.ndarray:

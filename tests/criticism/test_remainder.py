@@ -6,7 +6,7 @@ from builders.records import loop
 from numpy.testing import assert_allclose
 
 from hsed_jax.criticism.prediction import Prediction
-from hsed_jax.criticism.remainder import path_features, remainder_of
+from hsed_jax.criticism.remainder import can_be_learned, path_features, remainder_of
 from hsed_jax.errors import UserError
 from hsed_jax.measurements import Experiment, Record
 
@@ -127,10 +127,11 @@ def test_the_same_cycles_with_a_noisy_elongation(cycles):
 
 def test_without_an_elongation_or_with_few_samples_it_is_refused(cycles):
     u, residual, _ = cycles
-    with pytest.raises(UserError, match="at least 20 fitted samples of one force; there are 10 of force"):
+    with pytest.raises(UserError, match="at least 20 fitted samples of one force whose elongation was recorded"):
         remainder_of(prediction_of(residual, u, np.arange(u.size) < 10), True)
     unknown = prediction_of(residual, u, np.ones(u.size, dtype=bool))
     record = Record(np.arange(u.size, dtype=float), {"force": residual})
     unknown = Prediction(**{**vars(unknown), "experiments": (Experiment("E01", record=record),)})
-    with pytest.raises(UserError, match="E01: a remainder is a function of the elongation, which was not recorded"):
+    assert not can_be_learned(unknown)
+    with pytest.raises(UserError, match="whose elongation was recorded without gaps"):
         remainder_of(unknown, True)

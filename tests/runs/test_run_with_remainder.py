@@ -1,6 +1,7 @@
 """A run of a component test whose model leaves more than noise: the remainder is learned, kept, and shown."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import xarray as xr
 from builders.records import loop
 
 import hsed_jax as hx
+from hsed_jax.analysis.remainder import has_remainder
 from hsed_jax.measurements import Campaign
 
 SAMPLES = 60
@@ -75,3 +77,5 @@ def test_a_remainder_predicts_in_python_and_is_refused_where_there_is_none(campa
     quantities = hx.load_study({**study.written(), "observe": "quantities", "quantities": ["peak_force"]})
     with pytest.raises(hx.UserError, match="the history of a force"):
         hx.learn_remainder(hx.calibrate(quantities, campaign))
+    few = replace(campaign, experiments=tuple(replace(e, window=(0.0, 9.0)) for e in campaign.train.experiments[:1]))
+    assert not has_remainder(hx.calibrate(study, few))  # a run of so few samples learns none, and goes on
