@@ -27,7 +27,7 @@ from hsed_jax.measurements.turns import with_slips
 
 _FEATURES = 7
 # Samples that determine the correlation lengths, and samples that the prediction uses.  The first cost the cube of their number
-# at each step of the search; twice as many lower the error of six walls by a tenth at most.
+# at each step of the search.  1000 of the second lower the errors of two walls from 0.026 to 0.023 and from 0.046 to 0.045.
 _SEARCHED, _CONDITIONED = 200, 400
 # Samples that are predicted together: one program serves campaigns of all lengths.
 _BLOCK = 1024
@@ -59,11 +59,10 @@ class Remainder:
         """
         features = (_features_of(prediction) - self.low) / self.reach
         recorded = np.isfinite(features[..., 0])
-        correction, spread = np.zeros(recorded.shape), np.zeros(recorded.shape)
-        correction[recorded], variance = self._at(features[recorded])
-        spread[recorded] = variance + float(self.kriging.nugget * self.kriging.process_variance)
+        correction, variance = np.zeros(recorded.shape), np.zeros(recorded.shape)
+        correction[recorded], variance[recorded] = self._at(features[recorded])
         noise = noise_sizes(prediction, prediction.outputs[0], self.declared)
-        parts = {**prediction.parts, "noise": noise, "model": np.sqrt(np.maximum(spread - noise**2, 0.0))}
+        parts = {**prediction.parts, "noise": noise, "model": np.sqrt(np.maximum(variance - noise**2, 0.0))}
         return replace(
             prediction,
             predicted=prediction.predicted + correction,
@@ -74,12 +73,12 @@ class Remainder:
         )
 
     def _at(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean [N] and variance [N²] at features in the unit cube, (m,) each."""
+        """Mean [N] and variance [N²] of a measurement at features in the unit cube, (m,) each."""
         size = len(features)
         blocks = np.split(np.pad(features, ((0, -size % _BLOCK), (0, 0))), -(-size // _BLOCK))
         found = [self.kriging.predict(jnp.asarray(block)) for block in blocks]
         mean, variance = (np.concatenate(part)[:size] for part in zip(*found, strict=True))
-        return mean, variance
+        return mean, variance + float(self.kriging.nugget * self.kriging.process_variance)
 
 
 def can_be_learned(fitted: Prediction) -> bool:

@@ -42,7 +42,7 @@ def errors_over_inputs(inputs: Sequence[tuple[str, str]], largest: float, models
     Arguments:
         inputs: name and unit of the inputs that vary.
         largest: error of any model; all are drawn on its scale.
-        models: `before`, and `after` where there is one.
+        models: keys of `FinishedRun.comparisons`.
     """
     titles = {name: f"{name} [{unit}]" for name, unit in inputs}
     look: Any = {"filled": True, "stroke": INK, "opacity": 1, "cursor": "pointer"}
@@ -78,7 +78,7 @@ def residual_along(
     Arguments:
         coordinates, outputs: as the table `residual` names them.
         noise: over the RMS of the output, by output.
-        models: `before`, and `after` where there is one.
+        models: keys of `FinishedRun.comparisons`.
     """
     along = alt.param(
         name="along", value=coordinates[0], bind=alt.binding_select(options=list(coordinates), name="Along")
@@ -112,7 +112,7 @@ def histories(
     Arguments:
         axes: how each output is drawn.
         outputs: those over time.
-        models: `before`, and `after` where there is one.
+        models: keys of `FinishedRun.comparisons`.
         time: title of the time axis.
         loops: specimens with known force and elongation, by the prefix of their outputs.
         windows: whether only a part of some experiments is scored; this part is shaded.

@@ -91,7 +91,7 @@ def by_channel(comparisons: Mapping[str, Mapping[str, Any]]) -> list[dict[str, A
     """The error of each output, which the error over all outputs may conceal: a row per split and output.
 
     Arguments:
-        comparisons: as in `summary.json`, of the first model (`before`) and of the improved one (`after`), if it exists.
+        comparisons: `FinishedRun.comparisons`.
 
     Returns:
         Split, output, error by model, and the `share` of the squared error of the last model that the output has.

@@ -203,7 +203,7 @@ def _experiments(run: FinishedRun) -> dict[str, Any]:
         f"{campaign.pair.called(name)} [{tables.unit_words(campaign.unit(name).text)}]" for name in campaign.quantities
     ]
     models = [*run.comparisons]
-    heads += [f"error, {tables.SERIES[model]}" for model in models]
+    heads += ["error" if model == "before" else f"error, {tables.SERIES[model]}" for model in models]
     rows = []
     for experiment in campaign:
         values = [campaign.unit(name).from_si(experiment.inputs[name]) for name in campaign.inputs]
