@@ -104,7 +104,7 @@ class Record:
 
     def __eq__(self, other: object) -> bool:
         """Return whether times and channels are the same numbers (NaN equals NaN)."""
-        return (
+        return self is other or (
             isinstance(other, Record)
             and self.channels.keys() == other.channels.keys()
             and np.array_equal(self.time, other.time, equal_nan=True)

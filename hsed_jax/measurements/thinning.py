@@ -1,7 +1,7 @@
 r"""Long records of component tests, thinned along the path of the elongation.
 
-A quasi-static test is sampled in time, but far fewer samples describe its loops.  The kept samples are both ends, every
-reversal, the largest force between two reversals, and between them samples at equal steps of
+A quasi-static test is sampled in time, but far fewer samples describe its loops.  The kept samples are both ends, the ends of
+all windows, every reversal, the largest force between two reversals, and between them samples at equal steps of
 
 $$s = 0.8\,\frac{\sigma}{\sigma_{end}} + 0.2\,\frac{row}{rows}, \qquad d\sigma = \frac{|d\Delta u|}{\sqrt{w}},$$
 
@@ -9,6 +9,7 @@ with w the elongation from one reversal to the next.  Small cycles keep more tha
 and a hold keeps its relaxation.  Samples are left out and never averaged: every kept sample was measured.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -45,12 +46,14 @@ class Loss(NamedTuple):
         )
 
 
-def thinned(experiment: Experiment, samples: int) -> Experiment:
+def thinned(experiment: Experiment, samples: int, others: Sequence[Experiment] = ()) -> Experiment:
     """Thin the record of a component test.
 
     Arguments:
         experiment: With an elongation in its record; not changed.
         samples: About how many to keep; a shorter record stays as it is.
+        others: Experiments that may be further windows of the record.  All windows keep the same samples, so that one
+            simulation serves them.
 
     Returns:
         The experiment with some samples of its record, at their own times, and its window.
@@ -63,7 +66,7 @@ def thinned(experiment: Experiment, samples: int) -> Experiment:
     rows = len(record)
     turns = half_cycles(record["elongation"])
     within = np.flatnonzero(experiment.in_window)
-    kept = [turns, [0, within[0], within[-1], rows - 1]]
+    kept = [turns, [0, rows - 1], *(_ends(one) for one in (experiment, *others) if one.record == record)]
     if "force" in record.channels:
         force = np.abs(record["force"])
         kept.append(np.asarray([a + int(np.argmax(force[a : b + 1])) for a, b in pairwise(turns)], dtype=int))
@@ -79,6 +82,11 @@ def thinned(experiment: Experiment, samples: int) -> Experiment:
     noise = {**record.noise, **{name: record_noise(record.time[within], own) for name, own in unknown.items()}}
     thin = Record(record.time[chosen], {name: values[chosen] for name, values in record.channels.items()}, noise)
     return replace(experiment, record=thin)
+
+
+def _ends(experiment: Experiment) -> np.ndarray:
+    """The first and the last sample of a window."""
+    return np.flatnonzero(experiment.in_window)[[0, -1]]
 
 
 def loss(record: Record, thin: Record) -> Loss:

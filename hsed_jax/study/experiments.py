@@ -83,8 +83,11 @@ class Experiments:
 
     def taken(self, experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
         """Experiments as they are fitted and scored: long records of a component test are thinned."""
-        samples = self.study.measurements.samples
-        return tuple(thinned(e, samples) for e in experiments) if self.component_test else tuple(experiments)
+        if not self.component_test:
+            return tuple(experiments)
+        # Every selection of the experiments keeps the same samples of a record.
+        windows = (*(() if self.measured is None else self.measured.completed), *experiments)
+        return tuple(thinned(e, self.study.measurements.samples, windows) for e in experiments)
 
     def thinning_notes(self, campaign: Campaign) -> list[str]:
         """The thinning of the records of a campaign, in a sentence each: those that lose most, and the number of the others."""

@@ -10,7 +10,7 @@ from builders.misfits import prediction
 import hsed_jax as hx
 from hsed_jax.criticism.prediction import largest_noise, noise_sizes
 from hsed_jax.errors import UserError
-from hsed_jax.inference.observation import Grid, conditions_of
+from hsed_jax.inference.observation import Grid, conditions_of, first_alike
 from hsed_jax.inference.priors import Prior
 from hsed_jax.measurements import Campaign, Experiment, Record, characteristics
 from hsed_jax.measurements.noise import noise_estimate
@@ -71,6 +71,22 @@ def test_a_long_record_keeps_its_reversals_extremes_ends_and_window():
     # The smallest cycles are 1.5 % of the path and keep 5 % of the samples.
     small = np.count_nonzero(thin.time < turned[5])
     assert small > 0.04 * len(thin)
+
+
+def test_the_windows_of_a_thinned_record_have_one_simulation():
+    campaign = campaign_of(long_record())
+    third = replace(campaign["E02"], id="E03", window=(20000, 25000))
+    campaign = replace(campaign, experiments=(*campaign, third))
+    built = Built(study_of(measurements={"samples": 600}), campaign)
+    train, test = (built.experiments.taken(part.experiments) for part in (campaign.train, campaign.test))
+    # They keep the ends of all windows, whichever is taken.
+    assert {0, 1500, 20000, 25000, ROWS - 1} <= set(train[0].record.time)
+    assert train[0].record == test[0].record != long_record()
+    data = built.inference.data(campaign, campaign.experiments)
+    assert first_alike(data.conditions).tolist() == [0, 0, 0]
+    # An experiment of another record keeps its own samples.
+    other = Experiment("E04", record=long_record(noise=0.0), window=(7, 900))
+    assert {7, 900} <= set(thinned(other, 600, campaign.experiments).record.time)
 
 
 def test_what_thinning_costs_is_small_and_said():
