@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from builders.places import ROOT
+from builders.springs import BETA, A, spring_study
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
@@ -20,7 +21,7 @@ from hsed_jax.measurements.characteristics import from_unloaded
 from hsed_jax.physics.simulator import Conditions
 from hsed_jax.study.build import Built
 
-A, BETA, NOISE = 2.0e7, 200.0, 2.0e3  # strength 100 kN, yield elongation 5 mm
+NOISE = 2.0e3
 
 
 def exact_force(elongation, A=A, beta=BETA):
@@ -75,24 +76,8 @@ def component_campaign(has_time=True, noise=None, **changes) -> Campaign:
 
 
 def study_of(**changes):
-    return hx.load_study(
-        {
-            "study": "histories",
-            "model": {
-                "parameters": {
-                    "A": {"lognormal": [np.log(1.5 * A), 0.7]},
-                    "beta": {"lognormal": [np.log(0.7 * BETA), 0.7]},
-                    "gamma": 0.0,
-                    "n": 1.0,
-                }
-            },
-            "experiments": {"campaign": "nowhere"},
-            "observe": "histories",
-            "steps": ["calibrate", "compare"],
-            "calibration": {"starts": 1, "chains": 4, "warmup": 40, "draws": 120},
-            **changes,
-        }
-    )
+    calibration = {"starts": 1, "chains": 4, "warmup": 40, "draws": 120}
+    return spring_study(**{"calibration": calibration, **changes})
 
 
 # Of the predictor as an argument, so that equal ones share a program.
