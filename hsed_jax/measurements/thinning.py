@@ -65,7 +65,6 @@ def thinned(experiment: Experiment, samples: int, others: Sequence[Experiment] =
         return experiment  # the check of the data says so
     rows = len(record)
     turns = half_cycles(record["elongation"])
-    within = np.flatnonzero(experiment.in_window)
     kept = [turns, [0, rows - 1], *(_ends(one) for one in (experiment, *others) if one.record == record)]
     if "force" in record.channels:
         force = np.abs(record["force"])
@@ -78,6 +77,7 @@ def thinned(experiment: Experiment, samples: int, others: Sequence[Experiment] =
     evenly = np.searchsorted(s, np.linspace(0, s[-1], max(samples - len(fixed), samples // 2)))
     chosen = np.union1d(fixed, np.minimum(evenly, rows - 1)).astype(int)
     # The samples that are left do not resolve the signal, whose curvature would count as noise.
+    within = experiment.in_window
     unknown = {name: values[within] for name, values in record.channels.items() if name not in record.noise}
     noise = {**record.noise, **{name: record_noise(record.time[within], own) for name, own in unknown.items()}}
     thin = Record(record.time[chosen], {name: values[chosen] for name, values in record.channels.items()}, noise)
